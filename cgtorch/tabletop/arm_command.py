@@ -7,10 +7,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.tabletop.kinematics import Robot, arm_ways
-from cgtorch.tabletop.physics.fingers import closed_at, gripper_joints
-from cgtorch.tabletop.physics.gains import GRIP, SPEED, limit_of
-from cgtorch.tabletop.physics.grasp import CLOSING, TICK, legs
-from cgtorch.tabletop.physics.plan import way_of
+from cgtorch.tabletop.physics.bodies import GRIP, SPEED, closed_at, gripper_joints, limit_of
+from cgtorch.tabletop.physics.grasp import CLOSING, TICK, legs, way_of
 from cgtorch.tabletop.world.percepts import parts_of
 
 EVERY = 5

@@ -40,7 +40,7 @@ from cgtorch.tabletop.models.engine import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.transition import TableTransitionModel
 from cgtorch.tabletop.physics import MujocoWorld, Physics
-from cgtorch.tabletop.physics.engine import mujoco
+from cgtorch.tabletop.physics.model import mujoco
 from cgtorch.tabletop.published import EXPERIMENTS, stage_drawing
 from cgtorch.tabletop.settings import WORLDS, TabletopSettings
 from cgtorch.tabletop.table_picture import draw_placements

@@ -14,8 +14,7 @@ from cgtorch.tabletop.data import Scenes, label
 from cgtorch.tabletop.data.poses import poses_at_object
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics.grasping import within_reach
-from cgtorch.tabletop.physics import Physics
-from cgtorch.tabletop.physics.thing import Thing
+from cgtorch.tabletop.physics import Physics, Thing
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.tabletop.world import Scenarios
 from in_physics.tried import Rows, Sizes, Tried

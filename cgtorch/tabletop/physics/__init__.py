@@ -1,5 +1,5 @@
 """The tabletop in MuJoCo: masses, servos, contacts, and an object that can be pushed over."""
 
-from cgtorch.tabletop.physics.questions import Physics as Physics
-from cgtorch.tabletop.physics.thing import Thing as Thing
+from cgtorch.tabletop.physics.model import Thing as Thing
 from cgtorch.tabletop.physics.world import MujocoWorld as MujocoWorld
+from cgtorch.tabletop.physics.world import Physics as Physics

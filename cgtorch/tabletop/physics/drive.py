@@ -5,15 +5,12 @@ outer loop removes the remaining error. Without the ramps, the base ends 2 cm aw
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy
 from numpy.typing import NDArray
 
-from cgtorch.tabletop.physics.engine import mujoco
-from cgtorch.tabletop.physics.model import TIMESTEP, Model
-from cgtorch.tabletop.physics.scene import Scene, in_contact, put, thing_of
+from cgtorch.tabletop.physics.model import TIMESTEP, Model, Watch
+from cgtorch.tabletop.physics.scene import Scene, advance, in_contact, put, thing_of
 
 Array = NDArray[numpy.float64]
 
@@ -24,9 +21,6 @@ STEPS = 4  # of the simulation between two commands
 REST = 0.3  # s after the motion, until the base stands
 ARRIVED = 0.05, 0.05  # m, rad from the goal within which it has been reached
 
-Watch = Callable[[Any], None]
-"""Is called with MuJoCo's data after every command."""
-
 
 def drive(model: Model, scene: Scene, goal: Array, watch: Watch | None = None) -> Array:
     """Drive the base to a goal (3,) x, y, heading.
@@ -34,22 +28,16 @@ def drive(model: Model, scene: Scene, goal: Array, watch: Watch | None = None) -
     Returned are (11,) its pose, the object's pose, and whether it arrived. It stops, and has not
     arrived, if it touches something.
     """
-    mj, d = mujoco(), put(model, scene)
-    tick, m = STEPS * TIMESTEP, model.model
-    bumped = False
+    d, tick, bumped = put(model, scene), STEPS * TIMESTEP, False
     for reference, speed in motion_to(scene.pose, goal, tick):
         d.ctrl[:3] = speed + CORRECTION * (reference - d.qpos[:3])
-        mj.mj_step(m, d, STEPS)
-        if watch is not None:
-            watch(d)
-        if in_contact(model, model.bumping):
-            bumped = True
+        advance(model, STEPS, watch)
+        bumped = in_contact(model, model.bumping)
+        if bumped:
             break
     for _ in range(round(REST / tick)):
         d.ctrl[:3] = 0.0 if bumped else CORRECTION * (goal_near(d.qpos[2], goal) - d.qpos[:3])
-        mj.mj_step(m, d, STEPS)
-        if watch is not None:
-            watch(d)
+        advance(model, STEPS, watch)
     pose = numpy.array(d.qpos[:3])
     away = goal_near(pose[2], goal) - pose
     came = not bumped and math.hypot(*away[:2]) < ARRIVED[0] and abs(away[2]) < ARRIVED[1]
@@ -72,10 +60,9 @@ def motion_to(pose: Array, goal: Array, tick: float) -> list[tuple[Array, Array]
     ):  # fmt: skip
         way = end - start
         length = float(numpy.linalg.norm(way))
-        if length < 1e-9:
-            continue
-        for done, speed in ramp(length, fast, gather, tick):
-            out.append((start + way * (done / length), way * (speed / length)))
+        if length >= 1e-9:
+            for done, speed in ramp(length, fast, gather, tick):
+                out.append((start + way * (done / length), way * (speed / length)))
     return out
 
 
@@ -87,11 +74,11 @@ def ramp(length: float, fast: float, gather: float, tick: float) -> list[tuple[f
     out = []
     for k in range(1, math.ceil(total / tick) + 1):
         t = min(k * tick, total)
+        left = total - t
         if t < rise:
             out.append((gather * t * t / 2, gather * t))
         elif t <= total - rise:
             out.append((peak * (t - rise / 2), peak))
         else:
-            left = total - t
             out.append((length - gather * left * left / 2, gather * left))
     return out

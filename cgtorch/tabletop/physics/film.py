@@ -10,37 +10,33 @@ import numpy
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.domain import Tabletop
-from cgtorch.tabletop.physics.engine import mujoco
-from cgtorch.tabletop.physics.model import Model
+from cgtorch.tabletop.physics.model import Model, mujoco
 from cgtorch.tabletop.viewer.execution import execute
 from cgtorch.tabletop.world import Scenarios
 
 WIDTH, HEIGHT = 480, 360  # px
 EVERY = 0.16  # s of the simulation between two pictures
-LASTS = 80  # ms that each is shown
-END = 1200  # ms that the last one is
+LASTS, END = 80, 1200  # ms that a picture is shown, and the last one
 DISTANCE, BEHIND, DOWN = 5.0, 35.0, -35.0  # m, and degrees, of the camera
 CONTACT = 0.02  # m, about the size of the mark of a contact
 
 
 class Camera:
-    """Takes pictures of a simulation."""
+    """Takes pictures of a simulation, as `Physics.watch`."""
 
     def __init__(self, scenario: Scenarios) -> None:
         """A camera behind the robot that looks over its shoulder at the object."""
         mj = mujoco()
-        self.view, self.pictures, self.renderers = mj.MjvCamera(), list[Any](), dict[int, Any]()
-        start, table = scenario.pose[0], scenario.table[0]
-        middle = (start[:2] + 3 * table[:2]) / 4
-        self.view.lookat[:] = [float(middle[0]), float(middle[1]), 0.65]
-        self.shown = mj.MjvOption()
+        self.view, self.shown = mj.MjvCamera(), mj.MjvOption()
         self.shown.flags[mj.mjtVisFlag.mjVIS_CONTACTPOINT] = True
-        away = table[:2] - start[:2]
-        heading = float(numpy.degrees(numpy.arctan2(float(away[1]), float(away[0]))))
-        thing = scenario.object[0] - start[:2]
-        side = 1.0 if float(away[0] * thing[1] - away[1] * thing[0]) > 0 else -1.0
-        self.view.distance, self.view.azimuth = DISTANCE, heading + side * BEHIND
-        self.view.elevation = DOWN
+        start, table = scenario.pose[0, :2].double(), scenario.table[0, :2].double()
+        (x, y), (ahead, aside) = (scenario.object[0] - start).tolist(), (table - start).tolist()
+        side = 1.0 if ahead * y - aside * x > 0 else -1.0
+        self.view.lookat[:] = [*((start + 3 * table) / 4).tolist(), 0.65]
+        self.view.distance, self.view.elevation = DISTANCE, DOWN
+        self.view.azimuth = float(numpy.degrees(numpy.arctan2(aside, ahead))) + side * BEHIND
+        self.pictures: list[Any] = []
+        self.renderers: dict[int, Any] = {}
         self.last = -1
 
     def __call__(self, model: Model) -> None:
@@ -49,16 +45,10 @@ class Camera:
         if now == self.last:
             return
         self.last = now
-        key = id(model.model)
-        if key not in self.renderers:
-            self.renderers[key] = _renderer(model)
-        self.renderers[key].update_scene(model.data, self.view, self.shown)
-        self.pictures.append(self.renderers[key].render().copy())
-
-    def close(self) -> None:
-        """Free the renderer."""
-        for renderer in self.renderers.values():
-            renderer.close()
+        renderer = self.renderers.get(id(model.model)) or _renderer(model)
+        self.renderers[id(model.model)] = renderer
+        renderer.update_scene(model.data, self.view, self.shown)
+        self.pictures.append(renderer.render().copy())
 
 
 def _renderer(model: Model) -> Any:
@@ -87,12 +77,12 @@ def pictures_of(skill: Skill, domain: Tabletop, scenario: Scenarios) -> tuple[st
     Contact points are marked. SettingsError if this machine cannot draw.
     """
     camera = Camera(scenario)
-    physics = replace(domain.physics, watch=camera, memo={}, models={})
-    watched = domain.watched(physics)
+    watched = domain.watched(replace(domain.physics, watch=camera, models={}))
     try:
         end = execute(skill, watched.world(scenario)).end
     finally:
-        camera.close()
+        for renderer in camera.renderers.values():
+            renderer.close()
     if not camera.pictures:
         raise SettingsError(f"skill {skill.name!r} moves nothing on this scenario; try --seed 1")
     return end, camera.pictures
@@ -103,12 +93,11 @@ def animated(films: Sequence[Sequence[Any]], kind: str) -> bytes:
     from PIL import Image
 
     pictures = [Image.fromarray(picture) for film in films for picture in film]
-    if kind == "gif":
-        pictures = [p.quantize(96, dither=Image.Dither.NONE) for p in pictures]
-    out = io.BytesIO()
     lasts = [time for film in films for time in (*[LASTS] * (len(film) - 1), END)]
-    how = {"quality": 60, "method": 4} if kind == "webp" else {"optimize": True}
-    pictures[0].save(
-        out, kind.upper(), save_all=True, append_images=pictures[1:], duration=lasts, loop=0, **how
-    )
+    how: dict[str, Any] = {"quality": 60, "method": 4}
+    if kind == "gif":
+        how = {"optimize": True}
+        pictures = [p.quantize(96, dither=Image.Dither.NONE) for p in pictures]
+    out, (first, *more) = io.BytesIO(), pictures
+    first.save(out, kind.upper(), save_all=True, append_images=more, duration=lasts, loop=0, **how)
     return out.getvalue()

@@ -1,24 +1,31 @@
 """The robot, a table, boxes on the floor and an object as a MuJoCo model.
 
 One model serves all scenes with the same number of boxes; positions and sizes are written into it
-before each simulation (`cgtorch.tabletop.physics.scene`). In the model of an arm, this arm, its
-gripper and the base move; in the model for driving, only the base does.
+before each simulation (`cgtorch.tabletop.physics.scene`).
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Any
+from importlib.util import find_spec
+from typing import Any, TypeAlias
 
 import numpy
 from numpy.typing import NDArray
 
+from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.kinematics import Robot
-from cgtorch.tabletop.physics.bodies import RigidBody, follows, mimic_of, rigid_bodies
-from cgtorch.tabletop.physics.engine import mujoco
-from cgtorch.tabletop.physics.fingers import closed_at, gripper_joints
-from cgtorch.tabletop.physics.gains import Gains, gains_of
-from cgtorch.tabletop.physics.thing import Thing
+from cgtorch.tabletop.physics.bodies import (
+    RigidBody,
+    Servo,
+    base_servos,
+    closed_at,
+    follows,
+    gripper_joints,
+    mimic_of,
+    rigid_bodies,
+    servos_of,
+)
 
 TIMESTEP = 0.005  # s
 IMPRATIO = 10.0
@@ -28,21 +35,58 @@ NEIGHBOURS = 2
 SHOULDER = 3
 """Bodies of an arm that hang from at most this many joints do not collide with the robot's body."""
 GROUND = ("slab", "block")
+BASE = ("base x", "base y", "base turn")
+
+
+def mujoco() -> Any:
+    """MuJoCo, an optional package; SettingsError, with the way to install it, if it is missing."""
+    if find_spec("mujoco") is None:
+        raise SettingsError(
+            "the world mujoco needs package 'mujoco'; pip install 'cgtorch[physics]', or use "
+            "--world kinematic"
+        )
+    import mujoco as module
+
+    return module
+
+
+@dataclass(frozen=True)
+class Thing:
+    """The object on the table: a cylinder (radius, half height) or a box (half sides), m.
+
+    Attributes:
+        kind: cylinder or box.
+        mass: In kg.
+        friction: The sliding friction coefficient with anything that is not rougher.
+    """
+
+    kind: str = "cylinder"
+    size: tuple[float, ...] = (0.025, 0.05)
+    mass: float = 0.2
+    friction: float = 1.0
+
+    @property
+    def half_height(self) -> float:
+        """The half height of the standing object, m."""
+        return self.size[-1]
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint with a servo: its name, its indices in qpos and ctrl, and the servo's parameters.
+    """A joint with a servo, and its indices in qpos and ctrl.
 
-    `lag` is the time, in s, by which the servo's damping delays it behind a moving target. It
-    begins at `open` (rad or m), the home position of an arm's joint. A finger grasps by moving to
-    `closed`.
+    Attributes:
+        lag: The time, in s, by which the servo's damping delays it behind a moving target.
+        speed: Its greatest speed, rad/s or m/s.
+        open: Where it begins, rad or m: the home position of an arm's joint.
+        closed: Where a finger grasps.
     """
 
     name: str
     qpos: int
     ctrl: int
     lag: float
+    speed: float
     open: float
     closed: float
 
@@ -73,46 +117,55 @@ class Model:
     boxes: tuple[tuple[int, int, int], ...]
     touching: NDArray[numpy.bool_]
     bumping: NDArray[numpy.bool_]
-    gains: Gains
+
+
+Watch: TypeAlias = Callable[[Model], None]
+"""Is called with a model after every command to its servos."""
 
 
 def build(robot: Robot, arm: int | None, boxes: int, thing: Thing) -> Model:
     """The model in which an arm, or only the base with None, moves, with `boxes` obstacles.
 
-    Other arms are at home. RobotError if a mass or inertia of the robot is impossible.
+    Other arms are at home. RobotError if an inertia of the robot is impossible.
     """
-    mj, home = mujoco(), dict[str, float]()
+    mj, held = mujoco(), dict[str, float]()
     for each, posture in zip(robot.arms, robot.home, strict=True):
-        home |= dict(zip(each.joint_names, posture.tolist(), strict=True))
-    held = {**home, **robot.description.held}
+        held |= dict(zip(each.joint_names, posture.tolist(), strict=True))
+    held |= robot.description.held
     moved = [] if arm is None else list(robot.arms[arm].joint_names)
     grip = [] if arm is None else gripper_joints(robot, arm)
     bodies = rigid_bodies(robot, {*moved, *(joint.name for joint in grip)}, held)
-    gains = gains_of(robot, arm, bodies)
+    servos = servos_of(robot, arm, bodies)
+    closed = {joint.name: closed_at(joint, robot) for joint in grip if joint.mimic is None}
+    followers = [joint for joint in grip if joint.mimic is not None]
     spec = _empty(mj)
-    _add_robot(mj, spec, bodies, gains)
+    _add_robot(mj, spec, bodies, servos)
     _add_scene(mj, spec, boxes, thing)
     _add_excludes(spec, robot, bodies, moved)
-    fingers = [joint for joint in grip if joint.mimic is None]
-    followers = [joint for joint in grip if joint.mimic is not None]
     for joint in followers:
         _add_follower(mj, spec, joint)
-    _add_servos(mj, spec, [*moved, *(joint.name for joint in fingers)], gains)
+    _add_servos(mj, spec, bodies, {name: servos[name] for name in (*moved, *closed)})
     model = spec.compile()
-    touching, bumping = _contacts(model, _arm_bodies(bodies, moved))
+    touching, bumping = _contacts(model, _arm_bodies(bodies, moved), _box_names(boxes))
+
+    def address(joint: str) -> int:
+        return int(model.joint(joint).qposadr[0])
+
+    def joint_of(name: str) -> Joint:
+        servo = model.actuator(name).id
+        stiffness, damping = model.actuator_biasprm[servo, 1:3]
+        begin, end = held.get(name, 0.0), closed.get(name, 0.0)
+        lag = float(damping / stiffness)
+        return Joint(name, address(name), servo, lag, servos[name].speed, begin, end)
+
     return Model(
         model, mj.MjData(model),
-        arm=tuple(_joint(model, name, held.get(name, 0.0), 0.0) for name in moved),
-        fingers=tuple(
-            _joint(model, joint.name, held.get(joint.name, 0.0), closed_at(joint, robot))
-            for joint in fingers
-        ),
-        begins=tuple(
-            (int(model.joint(joint.name).qposadr[0]), follows(joint, held)) for joint in followers
-        ),
-        thing=thing, thing_qpos=int(model.joint("object").qposadr[0]),
-        boxes=tuple(_box(model, name) for name in (*GROUND, *_obstacles(boxes))),
-        touching=touching, bumping=bumping, gains=gains,
+        arm=tuple(joint_of(name) for name in moved),
+        fingers=tuple(joint_of(name) for name in closed),
+        begins=tuple((address(joint.name), follows(joint, held)) for joint in followers),
+        thing=thing, thing_qpos=address("object"),
+        boxes=tuple(_box(model, name) for name in _box_names(boxes)),
+        touching=touching, bumping=bumping,
     )  # fmt: skip
 
 
@@ -128,44 +181,34 @@ def _empty(mj: Any) -> Any:
     return spec
 
 
-def _add_robot(mj: Any, spec: Any, bodies: list[RigidBody], gains: Gains) -> None:
-    kinds = {
-        name: getattr(mj.mjtGeom, f"mjGEOM_{name.upper()}")
-        for name in ("sphere", "cylinder", "capsule", "box")
-    }
+def _geom(mj: Any, kind: str) -> Any:
+    return getattr(mj.mjtGeom, f"mjGEOM_{kind.upper()}")
+
+
+def _add_robot(mj: Any, spec: Any, bodies: list[RigidBody], servos: dict[str, Servo]) -> None:
+    slide, hinge = mj.mjtJoint.mjJNT_SLIDE, mj.mjtJoint.mjJNT_HINGE
     made = {"": spec.worldbody}
     for body in bodies:
         one = made[body.parent].add_body(name=body.name, gravcomp=1.0)
         made[body.name] = one
         one.pos, one.quat = body.pose[:3, 3], _quaternion(mj, body.pose)
         one.explicitinertial, one.mass, one.ipos = True, body.mass, body.centre
-        i = body.inertia
-        one.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
-        if body.joint is None:
-            _add_base(mj, one)
+        one.fullinertia = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        if (joint := body.joint) is None:
+            for name, kind, axis in zip(BASE, (slide, slide, hinge), numpy.eye(3), strict=True):
+                one.add_joint(name=name, type=kind, axis=axis)
         else:
-            _add_joint(mj, one, body.joint, gains)
+            kind = slide if joint.type == "prismatic" else hinge
+            added = one.add_joint(name=joint.name, type=kind, axis=joint.axis)
+            added.armature = servos[joint.name].armature
+            if joint.type != "continuous":
+                added.range = [joint.limit.lower, joint.limit.upper]
         for k, shape in enumerate(body.shapes):
             one.add_geom(
-                name=f"{body.name}#{k}", type=kinds[shape.kind], size=_three(shape.size),
+                name=f"{body.name}#{k}", type=_geom(mj, shape.kind), size=_three(shape.size),
                 pos=shape.pose[:3, 3], quat=_quaternion(mj, shape.pose), condim=4, mass=0,
                 contype=1, conaffinity=1, rgba=[0.75, 0.77, 0.8, 1],
             )  # fmt: skip
-
-
-def _add_base(mj: Any, body: Any) -> None:
-    slide, hinge = mj.mjtJoint.mjJNT_SLIDE, mj.mjtJoint.mjJNT_HINGE
-    body.add_joint(name="base x", type=slide, axis=[1, 0, 0])
-    body.add_joint(name="base y", type=slide, axis=[0, 1, 0])
-    body.add_joint(name="base turn", type=hinge, axis=[0, 0, 1])
-
-
-def _add_joint(mj: Any, body: Any, joint: Any, gains: Gains) -> None:
-    kind = mj.mjtJoint.mjJNT_SLIDE if joint.type == "prismatic" else mj.mjtJoint.mjJNT_HINGE
-    one = body.add_joint(name=joint.name, type=kind, axis=joint.axis)
-    one.armature = gains.armature.get(joint.name, 0.0)
-    if joint.type != "continuous":
-        one.range = [joint.limit.lower, joint.limit.upper]
 
 
 def _add_follower(mj: Any, spec: Any, joint: Any) -> None:
@@ -180,25 +223,23 @@ def _add_follower(mj: Any, spec: Any, joint: Any) -> None:
 
 def _add_scene(mj: Any, spec: Any, boxes: int, thing: Thing) -> None:
     """Add the floor, the table, obstacles and the object; sizes of boxes are set later."""
-    box = mj.mjtGeom.mjGEOM_BOX
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.5] * 3
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], castshadow=False)
     spec.worldbody.add_geom(
-        name="floor", type=mj.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=FLOOR, conaffinity=0,
+        name="floor", type=_geom(mj, "plane"), size=[0, 0, 1], contype=FLOOR, conaffinity=0,
         rgba=[0.55, 0.56, 0.58, 1],
     )  # fmt: skip
-    for name in (*GROUND, *_obstacles(boxes)):
+    for name in _box_names(boxes):
         body = spec.worldbody.add_body(name=name, mocap=True)
         body.add_geom(
-            name=name, type=box, size=[1, 1, 1], condim=4, contype=1, conaffinity=1,
+            name=name, type=_geom(mj, "box"), size=[1, 1, 1], condim=4, contype=1, conaffinity=1,
             rgba=[0.72, 0.55, 0.38, 1] if name in GROUND else [0.5, 0.35, 0.3, 1],
         )  # fmt: skip
     body = spec.worldbody.add_body(name="object")
     body.add_freejoint(name="object")
-    kind = getattr(mj.mjtGeom, f"mjGEOM_{thing.kind.upper()}")
     body.add_geom(
-        name="object", type=kind, size=_three(thing.size), mass=thing.mass, condim=4,
-        contype=1, conaffinity=1 | FLOOR, friction=[thing.friction, 0.01, 0.001],
+        name="object", type=_geom(mj, thing.kind), size=_three(thing.size), mass=thing.mass,
+        condim=4, contype=1, conaffinity=1 | FLOOR, friction=[thing.friction, 0.01, 0.001],
         rgba=[0.1, 0.55, 0.3, 1],
     )  # fmt: skip
 
@@ -217,11 +258,11 @@ def _add_excludes(spec: Any, robot: Robot, bodies: list[RigidBody], moved: list[
     parent = {body.name: body.parent for body in bodies}
     pairs = {(base, name) for name, joints in depth.items() if joints <= SHOULDER}
     for name in depth:
-        above, joints = parent[name], 1
-        while above in depth:
-            if joints <= NEIGHBOURS:
-                pairs.add((above, name))
-            above, joints = parent[above], joints + 1
+        above = name
+        for _ in range(NEIGHBOURS):
+            if (above := parent[above]) not in depth:
+                break
+            pairs.add((above, name))
     body_of = {shape.link: body.name for body in bodies for shape in body.shapes}
     for links in robot.description.excludes:
         first, *others = (body_of.get(robot.urdf.link(link).name, base) for link in links)
@@ -232,26 +273,18 @@ def _add_excludes(spec: Any, robot: Robot, bodies: list[RigidBody], moved: list[
         spec.add_exclude(bodyname1=first, bodyname2=second)
 
 
-def _add_servos(mj: Any, spec: Any, joints: list[str], gains: Gains) -> None:
+def _add_servos(mj: Any, spec: Any, bodies: list[RigidBody], servos: dict[str, Servo]) -> None:
     """Add velocity servos of the base, and position servos of joints with gravity compensation."""
-    limits = (gains.base_force, gains.base_force, gains.base_torque)
-    for name, damping, limit in zip(
-        ("base x", "base y", "base turn"), gains.base_damping, limits, strict=True
-    ):
+
+    def added(name: str, limit: float) -> Any:
         servo = spec.add_actuator(name=name, target=name, trntype=mj.mjtTrn.mjTRN_JOINT)
-        servo.set_to_velocity(kv=damping)
         servo.forcerange = [-limit, limit]
-    for name in joints:
-        servo = spec.add_actuator(name=name, target=name, trntype=mj.mjtTrn.mjTRN_JOINT)
-        servo.set_to_position(kp=gains.stiffness[name], dampratio=1.0)
-        servo.forcerange = [-gains.force[name], gains.force[name]]
+        return servo
 
-
-def _joint(model: Any, name: str, begin: float, closed: float) -> Joint:
-    servo = model.actuator(name).id
-    stiffness, damping = model.actuator_biasprm[servo, 1:3]
-    lag = float(damping / stiffness)
-    return Joint(name, int(model.joint(name).qposadr[0]), servo, lag, begin, closed)
+    for name, (damping, limit) in zip(BASE, base_servos(bodies), strict=True):
+        added(name, limit).set_to_velocity(kv=damping)
+    for name, servo in servos.items():
+        added(name, servo.force).set_to_position(kp=servo.stiffness, dampratio=1.0)
 
 
 def _box(model: Any, name: str) -> tuple[int, int, int]:
@@ -259,20 +292,20 @@ def _box(model: Any, name: str) -> tuple[int, int, int]:
     return body, int(model.body_mocapid[body]), model.geom(name).id
 
 
-def _contacts(model: Any, arm: Collection[str]) -> tuple[NDArray[numpy.bool_], ...]:
+def _contacts(
+    model: Any, arm: Collection[str], names: list[str]
+) -> tuple[NDArray[numpy.bool_], ...]:
     """(G, G) bool: which contacts count as a touch of the arm, and which as a bump of the robot."""
-    bodies = [model.body(body).name for body in model.geom_bodyid]
-    moves = numpy.array([name in arm for name in bodies])
-    ground = numpy.array([name == "world" for name in bodies])
-    thing = numpy.array([name == "object" for name in bodies])
-    boxes = numpy.array([name in GROUND or name.startswith("obstacle ") for name in bodies])
+    bodies = numpy.array([model.body(body).name for body in model.geom_bodyid])
+    moves, boxes = numpy.isin(bodies, [*arm]), numpy.isin(bodies, names)
+    ground, thing = bodies == "world", bodies == "object"
     touching = moves[:, None] & ~(thing | ground)[None, :]
     bumping = ~(thing | ground | boxes)[:, None] & (thing | boxes)[None, :]
     return touching | touching.T, bumping | bumping.T
 
 
-def _obstacles(count: int) -> list[str]:
-    return [f"obstacle {k}" for k in range(count)]
+def _box_names(obstacles: int) -> list[str]:
+    return [*GROUND, *(f"obstacle {k}" for k in range(obstacles))]
 
 
 def _three(size: tuple[float, ...]) -> list[float]:

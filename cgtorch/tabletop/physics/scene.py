@@ -1,4 +1,4 @@
-"""Writing a scene into a model: the positions of robot, table, boxes and object."""
+"""Scenes in a model: where robot, table, boxes and object are, and what touches."""
 
 import math
 from dataclasses import dataclass
@@ -8,8 +8,7 @@ import numpy
 from numpy.typing import NDArray
 
 from cgtorch.tabletop.kinematics.grasping import TABLE_THICKNESS
-from cgtorch.tabletop.physics.engine import mujoco
-from cgtorch.tabletop.physics.model import Model
+from cgtorch.tabletop.physics.model import Model, Watch, mujoco
 
 Array = NDArray[numpy.float64]
 
@@ -43,14 +42,11 @@ def put(model: Model, scene: Scene) -> Any:
     """The model's data, reset to rest in a scene: arms at home, grippers open."""
     mj, m, d = mujoco(), model.model, model.data
     mj.mj_resetData(m, d)
-    x, y, yaw, length, width, top = scene.table
-    boxes = [
-        (x, y, yaw, length, width, top - TABLE_THICKNESS, top),
-        (x, y, yaw, length, width, 0, BLOCK),
-    ]
+    *place, top = scene.table
+    boxes = [(*place, top - TABLE_THICKNESS, top), (*place, 0, BLOCK)]
     boxes += [(*box, 0.0, BLOCK) for box in scene.obstacles]
-    for place, box in zip(model.boxes, boxes, strict=True):
-        _resize(m, d, place, box)
+    for part, box in zip(model.boxes, boxes, strict=True):
+        _resize(m, d, part, box)
     d.qpos[:3] = scene.pose
     for joint in (*model.arm, *model.fingers):
         d.qpos[joint.qpos] = d.ctrl[joint.ctrl] = joint.open
@@ -61,17 +57,23 @@ def put(model: Model, scene: Scene) -> Any:
     return d
 
 
-def _resize(m: Any, d: Any, place: tuple[int, int, int], box: tuple[float, ...]) -> None:
+def _resize(m: Any, d: Any, part: tuple[int, int, int], box: tuple[float, ...]) -> None:
     """Write a box (x, y, yaw, size x, size y, from z, to z) into model and data."""
-    body, mocap, geom = place
+    body, mocap, geom = part
     x, y, yaw, length, width, low, high = box
     there = length > 0 and width > 0
     half = numpy.array([length, width, high - low]) / 2 if there else numpy.full(3, 0.01)
     m.geom_size[geom], m.geom_rbound[geom] = half, math.sqrt(float(half @ half))
-    m.geom_aabb[geom, 3:] = half
-    m.bvh_aabb[m.body_bvhadr[body], 3:] = half
+    m.geom_aabb[geom, 3:] = m.bvh_aabb[m.body_bvhadr[body], 3:] = half
     d.mocap_pos[mocap] = [x, y, (low + high) / 2 if there else -AWAY]
     d.mocap_quat[mocap] = [math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
+
+
+def advance(model: Model, steps: int, watch: Watch | None = None) -> None:
+    """Simulate some steps under the present commands."""
+    mujoco().mj_step(model.model, model.data, steps)
+    if watch is not None:
+        watch(model)
 
 
 def thing_of(model: Model) -> Array:

@@ -1,24 +1,142 @@
-"""The tabletop world with physics: motions and grasps are simulated, and can fail."""
+"""The tabletop world with physics: motions and grasps are simulated, and can fail.
 
-from dataclasses import replace
+A simulation's input is a row of numbers, and its result depends on it alone: not on what else is
+simulated, nor in which process, nor on whether the result is remembered.
+"""
 
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import TypeAlias
+
+import numpy
 import torch
 from torch import Tensor
 
+from cgtorch import native
+from cgtorch.ground import distributed
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import SettingsError
-from cgtorch.tabletop.physics.questions import Physics, drives, grasps
+from cgtorch.ground.processes import counted, in_processes
+from cgtorch.tabletop.kinematics import Robot
+from cgtorch.tabletop.physics.drive import drive
+from cgtorch.tabletop.physics.grasp import SEEN, grasp, planned, way_of
+from cgtorch.tabletop.physics.model import Model, Thing, Watch, build
+from cgtorch.tabletop.physics.scene import Scene
 from cgtorch.tabletop.world.clear_motion import motion_possible
 from cgtorch.tabletop.world.geometry import moved, rectangle_in_frame, wrap
 from cgtorch.tabletop.world.observed import LAB_NOISE, Noise, ObservedTabletop
 from cgtorch.tabletop.world.percepts import TABLETOP
 from cgtorch.tabletop.world.scenarios import Scenarios
 
+Simulate: TypeAlias = Callable[["Physics", Tensor], Tensor]
+"""Maps rows of inputs (n, Q) to rows of results (n, A), independently."""
+
+PARTS = 8  # of the simulations of each process: those that are ready early take another
+WORTH_SHARING = 6  # simulations for which processes are begun
 TOUCH = ("fails", "allowed")
 """Whether a grasp has failed if the arm touched table or robot."""
 EXTRA = 6
 """Additional columns of a state: height of the object's centre (m), its quaternion (4), w first,
 and 1 if an arm has touched anything but the object, else 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class Physics:
+    """The simulated robot and object, and known results.
+
+    Attributes:
+        robot: The robot.
+        thing: The object.
+        memo: Results by input.
+        models: Compiled models, by the moving arm and the number of obstacles.
+        watch: Is called with a model after every command to its servos; then there is no memo.
+    """
+
+    robot: Robot
+    thing: Thing = field(default_factory=Thing)
+    memo: dict[bytes, Tensor] = field(default_factory=dict)
+    models: dict[tuple[int | None, int], Model] = field(default_factory=dict)
+    watch: Watch | None = None
+
+    def model(self, arm: int | None, boxes: int) -> Model:
+        """The model in which an arm, or only the base with None, moves; it is made once."""
+        if (arm, boxes) not in self.models:
+            self.models[arm, boxes] = build(self.robot, arm, boxes, self.thing)
+        return self.models[arm, boxes]
+
+
+def drives(physics: Physics, rows: Tensor) -> Tensor:
+    """(n, 11) base pose, object and whether it arrived, for scenes and goals (n, 16 + 5 K + 3)."""
+    return _remembered(physics, "motions", _drives, rows)
+
+
+def grasps(physics: Physics, rows: Tensor) -> Tensor:
+    """(n, 9) whether the object is lifted, whether the arm touched anything, and the object's pose.
+
+    Inputs are scenes and where the object is seen (n, 16 + 5 K + 3).
+    """
+    return _remembered(physics, "grasps", _grasps, rows)
+
+
+def _remembered(physics: Physics, what: str, simulate: Simulate, rows: Tensor) -> Tensor:
+    """Results (n, A), from the memo or simulated now."""
+    if physics.watch is not None or not len(rows):
+        return simulate(physics, rows)
+    keys = [what.encode() + row.tobytes() for row in rows.numpy()]
+    new = {key: row for row, key in reversed([*enumerate(keys)]) if key not in physics.memo}
+    order = sorted(new.values())
+    if order:
+        found = _shared(physics, what, simulate, rows[order])
+        physics.memo.update((keys[row], one) for row, one in zip(order, found, strict=True))
+    return torch.stack([physics.memo[key] for key in keys])
+
+
+def _shared(physics: Physics, what: str, simulate: Simulate, rows: Tensor) -> Tensor:
+    """Results (n, A), simulated on all ranks, and on each in several processes."""
+    count = len(rows)
+    if count < WORTH_SHARING:
+        return simulate(physics, rows)
+    mine = rows[distributed.share(count)]
+    for arm in (None, *range(len(physics.robot.arms))):
+        physics.model(arm, _boxes(rows))  # which processes then need not make
+    parts = max(1, min(len(mine) // 2, PARTS * native.threads()))
+    bounds = [*pairwise(torch.linspace(0, len(mine), parts + 1).long().tolist())]
+
+    def work(part: int) -> Tensor:
+        return simulate(physics, mine[slice(*bounds[part])])
+
+    more = counted(f"{what} in physics", len(mine))
+    found = in_processes(work, parts, native.threads(), lambda part: more(len(part)))
+    return distributed.all_gather(torch.cat(found), count)
+
+
+def _boxes(rows: Tensor) -> int:
+    """The number of obstacles in rows (n, 16 + 5 K + 3)."""
+    return (rows.shape[1] - 16 - SEEN) // 5
+
+
+def _drives(physics: Physics, rows: Tensor) -> Tensor:
+    model = physics.model(None, _boxes(rows))
+    pairs = ((Scene.of(row[:-SEEN]), row[-SEEN:]) for row in rows.double().numpy())
+    return _as_tensor([drive(model, scene, goal, physics.watch) for scene, goal in pairs], 11)
+
+
+def _grasps(physics: Physics, rows: Tensor) -> Tensor:
+    robot, ways = physics.robot, planned(physics.robot, rows)
+    out = []
+    for i, row in enumerate(rows.double().numpy()):
+        scene = Scene.of(row[:-SEEN])
+        if bool(ways.found[i]):
+            model = physics.model(int(ways.arm[i]), _boxes(rows))
+            out.append(grasp(model, scene, way_of(robot, ways, i), physics.watch))
+        else:
+            out.append(numpy.array([0.0, 0.0, *scene.thing]))
+    return _as_tensor(out, 9)
+
+
+def _as_tensor(rows: list[numpy.ndarray], width: int) -> Tensor:
+    return torch.tensor(numpy.array(rows).reshape(-1, width), dtype=torch.float32)
 
 
 class MujocoWorld(ObservedTabletop):

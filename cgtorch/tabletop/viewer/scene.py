@@ -14,7 +14,7 @@ from viser.extras import ViserUrdf
 
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, TABLE_THICKNESS
-from cgtorch.tabletop.physics.thing import Thing
+from cgtorch.tabletop.physics import Thing
 from cgtorch.tabletop.viewer.timeline import Timeline
 from cgtorch.tabletop.world.geometry import box_rectangle, corners, moved, rotate
 from cgtorch.tabletop.world.percepts import BOX, present

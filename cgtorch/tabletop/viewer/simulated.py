@@ -9,7 +9,7 @@ from torch import Tensor
 from cgtorch.graphs import Skill
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot
-from cgtorch.tabletop.physics.fingers import gripper_joints
+from cgtorch.tabletop.physics.bodies import gripper_joints
 from cgtorch.tabletop.physics.model import Model
 from cgtorch.tabletop.physics.scene import thing_of
 from cgtorch.tabletop.viewer.execution import execute

@@ -17,6 +17,8 @@ from cgtorch.tabletop.physics.bodies import rigid_bodies
 from cgtorch.tabletop.physics.model import build
 from cgtorch.tabletop.physics.scene import Scene, put
 
+PR2 = robots_folder() / "pr2"
+
 
 @pytest.mark.parametrize("name", ["pr2", "fetch"])
 def test_bodies_are_where_the_library_has_its_frames(name: str) -> None:
@@ -29,23 +31,22 @@ def test_bodies_are_where_the_library_has_its_frames(name: str) -> None:
         q = low + (high - low) * torch.rand(20, len(low), generator=generator, dtype=low.dtype)
         frames, chain = arm.frames(q), arm.chain(q)[0]
         for row, posture in enumerate(q):
-            for joint, value in zip(model.arm, posture.tolist(), strict=True):
-                model.data.qpos[joint.qpos] = value
+            model.data.qpos[[joint.qpos for joint in model.arm]] = posture
             mujoco.mj_kinematics(model.model, model.data)
             for joint in arm.joint_names:
                 link = robot.urdf.joint(joint).child
                 body = model.model.body(link).id
-                expected = frames[chain.frame_to_idx[link], row]
-                assert numpy.allclose(model.data.xpos[body], expected[:3, 3], atol=1e-9)
-                assert numpy.allclose(
-                    model.data.xmat[body].reshape(3, 3), expected[:3, :3], atol=1e-9
+                pose = numpy.eye(4)
+                pose[:3, :3], pose[:3, 3] = (
+                    model.data.xmat[body].reshape(3, 3),
+                    model.data.xpos[body],
                 )
+                assert numpy.allclose(pose, frames[chain.frame_to_idx[link], row], atol=1e-9)
 
 
 @pytest.mark.parametrize("moving", [(), ("l_elbow_flex_joint", "l_wrist_roll_joint")])
 def test_merging_links_keeps_their_mass(robot: Robot, moving: tuple[str, ...]) -> None:
-    root = etree.fromstring(robot.urdf.xml)
-    total = sum(float(mass.get("value")) for mass in root.iter("mass"))
+    total = sum(float(mass.get("value")) for mass in etree.fromstring(robot.urdf.xml).iter("mass"))
     bodies = rigid_bodies(robot, moving, robot.description.held)
     assert len(bodies) == 1 + len(moving)
     assert sum(body.mass for body in bodies) == pytest.approx(total)
@@ -67,6 +68,15 @@ def test_merged_inertia_is_that_of_the_parts(robot: Robot) -> None:
     assert moment[2] == pytest.approx(about, rel=1e-3)
 
 
+def changed(folder: Path, old: str, new: str) -> Path:
+    """A PR2 in which something of its left shoulder, or what follows it, is replaced once."""
+    text = (PR2 / "pr2.urdf").read_text()
+    at = text.index('<link name="l_shoulder_pan_link"')
+    shutil.copy(PR2 / "robot.json", folder)
+    (folder / "pr2.urdf").write_text(text[:at] + text[at:].replace(old, new, 1))
+    return folder / "pr2.urdf"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -75,44 +85,27 @@ def test_merged_inertia_is_that_of_the_parts(robot: Robot) -> None:
         ('value="25.8"', 'value="-1"', "l_shoulder_pan_link.*mass -1"),
         ('ixx="0.2982" ixy="0"', 'ixx="inf" ixy="0"', "line 119: inertia ixx is 'inf'"),
         ('ixx="0.2982" ixy="0"', 'ixx="0.2982" ixy="9"', "l_shoulder_pan_link.*inertia of -8"),
+        ('ixx="0.2982"', 'ixx="-0.2982"', "l_shoulder_pan_link.*has an inertia of -0.298"),
+        ('ixx="0.2982"', 'ixx="-1e-7"', "has an inertia with the diagonal.*give principal"),
     ],
 )
 def test_masses_that_cannot_be_are_named(tmp_path: Path, old: str, new: str, message: str) -> None:
-    text = (robots_folder() / "pr2" / "pr2.urdf").read_text()
-    at = text.index('<link name="l_shoulder_pan_link"')
-    shutil.copy(robots_folder() / "pr2" / "robot.json", tmp_path)
-    (tmp_path / "pr2.urdf").write_text(text[:at] + text[at:].replace(old, new, 1))
     with pytest.raises(RobotError, match=message):
-        build(load_robot(tmp_path / "pr2.urdf"), 0, 0, Thing())
+        build(load_robot(changed(tmp_path, old, new)), 0, 0, Thing())
 
 
-def test_links_without_mass_or_inertia_are_simulated(tmp_path: Path) -> None:
-    text = (robots_folder() / "pr2" / "pr2.urdf").read_text()
-    at = text.index('<link name="l_shoulder_pan_link"')
-    shutil.copy(robots_folder() / "pr2" / "robot.json", tmp_path)
-    for old, new in (('value="25.8"', 'value="0"'), ('ixx="0.2982"', 'ixx="0"')):
-        (tmp_path / "pr2.urdf").write_text(text[:at] + text[at:].replace(old, new, 1))
-        model = build(load_robot(tmp_path / "pr2.urdf"), 0, 0, Thing())
-        assert (model.model.body_inertia[1:] >= 0).all()
-        assert numpy.isfinite(model.model.body_inertia).all()
-
-
-def test_an_inertia_that_cannot_be_is_named(tmp_path: Path) -> None:
-    text = (robots_folder() / "pr2" / "pr2.urdf").read_text()
-    broken = text.replace('ixx="0.2982"', 'ixx="-0.2982"', 1)
-    folder = tmp_path
-    (folder / "pr2.urdf").write_text(broken)
-    words = (robots_folder() / "pr2" / "robot.json").read_text()
-    (folder / "robot.json").write_text(words)
-    with pytest.raises(RobotError, match=r"l_shoulder_pan_link.*has an inertia of -0.298"):
-        Physics(load_robot(None, folder)).model(None, 0)
+@pytest.mark.parametrize("what", ['value="25.8"', 'ixx="0.2982"'])
+def test_links_without_mass_or_inertia_are_simulated(tmp_path: Path, what: str) -> None:
+    urdf = changed(tmp_path, what, f'{what.partition("=")[0]}="0"')
+    inertia = build(load_robot(urdf), 0, 0, Thing()).model.body_inertia
+    assert (inertia[1:] >= 0).all()
+    assert numpy.isfinite(inertia).all()
 
 
 def test_an_exclude_of_a_missing_link_is_named(tmp_path: Path) -> None:
-    folder = tmp_path
-    (folder / "pr2.urdf").write_text((robots_folder() / "pr2" / "pr2.urdf").read_text())
-    words = json.loads((robots_folder() / "pr2" / "robot.json").read_text())
+    urdf = changed(tmp_path, "", "")
+    words = json.loads((PR2 / "robot.json").read_text())
     words["excludes"] = [["base_link", "no_link"]]
-    (folder / "robot.json").write_text(json.dumps(words))
+    (tmp_path / "robot.json").write_text(json.dumps(words))
     with pytest.raises(RobotError, match="no link 'no_link'"):
-        Physics(load_robot(None, folder)).model(0, 0)
+        Physics(load_robot(urdf)).model(0, 0)

@@ -6,12 +6,15 @@ import pytest
 import torch
 
 from cgtorch import native
+from cgtorch.ground.processes import listening
 from cgtorch.ground.dry_run import check_environment
 from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.ground.errors import SettingsError
-from cgtorch.ground.processes import listening
+from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot
-from cgtorch.tabletop.physics import MujocoWorld, Physics, questions
+from cgtorch.tabletop.physics import MujocoWorld, Physics, model
+from cgtorch.tabletop.physics import world as physics_world
+from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, draw_of, stage_scenarios
 
 CONTROL = torch.tensor([[0.4, 0.05, 0.1], [0.2, -0.1, -0.3], [9.0, 0, 0], [0.45, 0.1, 0.0]])
@@ -26,23 +29,18 @@ def same(a: Lanes, b: Lanes) -> bool:
     return torch.equal(a.state, b.state) and torch.equal(a.percept, b.percept)
 
 
-def tried(robot: Robot, rows: torch.Tensor | None = None) -> list[torch.Tensor]:
-    """What happens to four lanes, or to some of them, in a physics that knows nothing yet."""
+def tried(robot: Robot, rows: list[int]) -> list[torch.Tensor]:
+    """What happens to some of four lanes in a physics that knows nothing yet."""
     world, lanes = begun(Physics(robot))
-    lanes = lanes if rows is None else lanes.rows(rows)
-    control = CONTROL if rows is None else CONTROL[rows]
-    lanes, done = world.step(lanes, control)
+    lanes, done = world.step(lanes.rows(torch.tensor(rows)), CONTROL[rows])
     after, good = world.success(lanes)
     return [lanes.state, lanes.percept, done, after.state, good]
 
 
-def test_it_keeps_the_interface(physics: Physics) -> None:
-    check_environment(begun(physics)[0])
-
-
-def test_it_begins_like_the_kinematic_world(physics: Physics) -> None:
+def test_it_keeps_the_interface_and_begins_like_the_kinematic_world(physics: Physics) -> None:
     """The same percepts but for rounding, and the same noise."""
     world, lanes = begun(physics)
+    check_environment(world)
     other = TabletopWorld(world.scenarios, lambda p, t: p[:, 0] > 0, (-0.3, 0.3, -0.3, 0.3))
     expected = start_lanes(other, torch.arange(4), 3, 0)
     assert torch.allclose(lanes.percept, expected.percept, atol=1e-6)
@@ -52,29 +50,30 @@ def test_it_begins_like_the_kinematic_world(physics: Physics) -> None:
 def test_rows_do_not_depend_on_one_another_nor_on_processes(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    alone = [tried(robot, torch.tensor([row])) for row in range(4)]
-    together = tried(robot)
-    for parts, whole in zip(zip(*alone, strict=True), together, strict=True):
-        assert torch.equal(torch.cat(parts), whole)
-    monkeypatch.setattr(questions, "WORTH_SHARING", 2)
-    before = native.use_threads(2)
-    try:
-        shared = tried(robot)
-    finally:
-        native.use_threads(before)
+    together = tried(robot, [0, 1, 2, 3])
+    for parts, whole in zip(tried(robot, [2, 0]), together, strict=True):
+        assert torch.equal(parts, whole[[2, 0]])
+    monkeypatch.setattr(physics_world, "WORTH_SHARING", 2)
+    native.use_threads(2)
+    shared = tried(robot, [0, 1, 2, 3])
     assert all(torch.equal(a, b) for a, b in zip(shared, together, strict=True))
 
 
-def test_nothing_is_asked_twice(physics: Physics, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_asked_twice_unless_noise_changes_the_question(
+    physics: Physics, monkeypatch: pytest.MonkeyPatch
+) -> None:
     world, lanes = begun(physics)
     first, done = world.step(lanes, CONTROL)
     found = world.success(first)
+    known = len(physics.memo)
+    world.step(world.observe(lanes), CONTROL)
+    assert len(physics.memo) > known
 
     def refuse(*given: object) -> torch.Tensor:
         raise AssertionError("asked again")
 
-    monkeypatch.setattr(questions, "drive", refuse)
-    monkeypatch.setattr(questions, "grasp", refuse)
+    monkeypatch.setattr(physics_world, "drive", refuse)
+    monkeypatch.setattr(physics_world, "grasp", refuse)
     again, done_again = world.step(lanes, CONTROL)
     assert same(first, again)
     assert torch.equal(done, done_again)
@@ -95,13 +94,6 @@ def test_how_many_questions_are_answered_is_told(robot: Robot) -> None:
     assert told[-1] == ("motions in physics", 8, 8)
 
 
-def test_noise_changes_the_question(physics: Physics) -> None:
-    world, lanes = begun(physics)
-    known = len(physics.memo)
-    world.step(world.observe(lanes), CONTROL)
-    assert len(physics.memo) > known
-
-
 def test_a_refused_motion_leaves_a_lane_as_it_is(physics: Physics) -> None:
     world, lanes = begun(physics)
     after, done = world.step(lanes, torch.full((4, 3), float("nan")))
@@ -120,21 +112,22 @@ def test_an_object_that_was_pushed_is_seen_where_it_is(physics: Physics) -> None
     assert not world.success(replace(lanes, state=state))[1].any()
 
 
-def test_a_touch_counts_as_it_is_said(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_touch_counts_as_it_is_said(physics: Physics, monkeypatch: pytest.MonkeyPatch) -> None:
     """The answers are remembered once, and either world reads them its own way."""
-    physics = Physics(robot)
     answers = torch.tensor([[1.0, 1.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
 
     def told(given: Physics, rows: torch.Tensor) -> torch.Tensor:
         return torch.cat([answers[: len(rows)], rows[:, 9:16]], 1)
 
-    monkeypatch.setattr("cgtorch.tabletop.physics.world.grasps", told)
+    monkeypatch.setattr(physics_world, "grasps", told)
     for touch, good in (("fails", [0, 1, 0, 0]), ("allowed", [1, 1, 0, 0])):
         world, lanes = begun(physics, touch=touch)
         after, found = world.success(lanes)
         assert found.tolist() == good
         assert after.state[:, -1].tolist() == [1, 0, 1, 0]
         assert torch.equal(after.percept, lanes.percept)
+    with pytest.raises(SettingsError, match="use one of fails, allowed"):
+        begun(physics, touch="maybe")
 
 
 def test_obstacles_and_any_table(physics: Physics) -> None:
@@ -147,6 +140,22 @@ def test_obstacles_and_any_table(physics: Physics) -> None:
     assert torch.equal(after.state[:, 12:17], lanes.state[:, 12:17])
 
 
-def test_an_unknown_touch_is_refused(physics: Physics) -> None:
-    with pytest.raises(SettingsError, match="use one of fails, allowed"):
-        begun(physics, touch="maybe")
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before anything begins, with the way to install it."""
+    monkeypatch.setattr(model, "find_spec", lambda name: None)
+    with pytest.raises(SettingsError, match=r"pip install 'cgtorch\[physics\]'"):
+        Tabletop(TabletopSettings(world="mujoco"))
+    Tabletop(TabletopSettings())  # needs none
+
+
+def test_worlds_and_measures_by_name() -> None:
+    domain = Tabletop()
+    assert not domain.other_measures()
+    strict = domain.in_world("mujoco")
+    assert strict.settings.world == "mujoco"
+    ((name, lifted),) = strict.other_measures().items()
+    assert "lifted" in name
+    assert lifted.settings.touch == "allowed"
+    assert lifted.physics is strict.physics is domain.physics, "they share what they know"
+    with pytest.raises(SettingsError, match="use one of kinematic, mujoco"):
+        domain.in_world("moon")

@@ -14,7 +14,7 @@ from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot, load_robot
 from cgtorch.tabletop.physics import Physics
 from cgtorch.tabletop.physics.grasp import LIFTED
-from cgtorch.tabletop.physics.questions import drives, grasps
+from cgtorch.tabletop.physics.world import drives, grasps
 from cgtorch.tabletop.viewer.execution import execute
 from cgtorch.tabletop.viewer.simulated import Recorder, simulated_timeline
 from cgtorch.tabletop.viewer.timeline import FPS, Moves, Timeline
