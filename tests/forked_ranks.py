@@ -94,10 +94,9 @@ def gather() -> None:
             part = rows[ranks.share(7, group)]
             assert torch.equal(ranks.all_gather(part, 7, group), rows)
             for i in range(parts):
-                held = {"x": own[i if i in mine else mine.start], "y": torch.tensor([i in mine])}
-                found = ranks.gather_part(held, i, parts)
-                assert not ranks.first() or torch.equal(found["x"], own[i])
-                assert not ranks.first() or bool(found["y"])
+                found = ranks.part_of_holder(own[i] if i in mine else None, i, parts)
+                assert found is not None
+                assert torch.equal(found, own[i])
         assert ranks.broadcast(ranks.first())
         assert ranks.broadcast(torch.tensor([int(ranks.first())])).tolist() == [1]
         ranks.wait()

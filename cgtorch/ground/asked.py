@@ -14,9 +14,8 @@ class BudgetSpentError(CgtorchError, RuntimeError):
 class Asked:
     """Numbers of things that were asked of a world.
 
-    Motions and tests are world actions: the world carries out a control, or tests success. Looks
-    are first percepts without an action, and each needs a placed scene. Episodes are trials of a
-    skill.
+    Motions and tests of success are world actions. Looks are first percepts without an action, and
+    each needs a placed scene. Episodes are trials of a skill.
     """
 
     motions: int = 0

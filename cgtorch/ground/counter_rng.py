@@ -1,18 +1,7 @@
 """Counter-based random numbers: functions of the scenario or individual that they belong to.
 
-A `torch.Generator` gives its numbers in sequence, so the numbers of a lane or an individual would
-depend on its neighbours in the batch.
-
-The numbers of stochastic actions belong to the scenario, as the noise of the world does. They are
-Threefry-2x32 with 20 rounds (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011)
-of the scenario's seed, the name of the action's class, and the number of draws so far. The same
-skill on the same scenario gives the same result, in any batch, within another skill, and on any
-number of ranks.
-
-The numbers of genetic operators belong to the individual. One random word is drawn per generation
-and gives every individual a key. Number i of an individual is the i-th number of SplitMix64 with
-its key (Steele, Lea & Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014). So
-numbers are computed only where they are needed, in any order and in any number of threads.
+Numbers of a `torch.Generator` come in sequence, so those of a lane or an individual would depend on
+its neighbours in the batch.
 """
 
 import math
@@ -32,15 +21,16 @@ GOLDEN, FIRST, SECOND = (
 )
 FEISTEL_ROUNDS = 6
 FRESH, DRIFT = 2**40, 2**41
-"""The indices where an individual's numbers for parameters of new nodes, and for its drift,
-begin."""
+"""Where an individual's numbers for parameters of new nodes, and for its drift, begin."""
 OCTAVES, STEPS = 40, 32
-"""The quantile function is a polynomial on each of `STEPS` steps of each octave of
-probabilities."""
+"""The quantile function is a polynomial on each step of each octave of probabilities."""
 
 
 def threefry(key: tuple[Tensor, Tensor], counter: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    """Threefry-2x32 with 20 rounds, on pairs of tensors (...) long of 32-bit words, by element."""
+    """Threefry-2x32 with 20 rounds, on pairs of tensors (...) long of 32-bit words, by element.
+
+    Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
+    """
     keys = (*key, key[0] ^ key[1] ^ PARITY)
     x, y = (counter[0] + keys[0]) & WORD, (counter[1] + keys[1]) & WORD
     for number in range(20):
@@ -55,10 +45,10 @@ def threefry(key: tuple[Tensor, Tensor], counter: tuple[Tensor, Tensor]) -> tupl
 
 
 def uniform(seed: Tensor, who: str, count: Tensor, size: int) -> Tensor:
-    """(n, size) float32 random numbers in [0, 1), multiples of 2⁻²⁴; rows are independent.
+    """(n, size) float32 random numbers in [0, 1) for stochastic actions; rows are independent.
 
-    They are a function of the seed (n,) of each row's scenario, the name `who`, and the number of
-    draws `count` (n,) so far.
+    They follow from the seed (n,) of each row's scenario, the name `who` of the action's class, and
+    the number of draws `count` (n,) so far: in any batch, skill and number of ranks the same.
     """
     name = zlib.crc32(who.encode())
     key = (seed & WORD)[:, None], ((seed >> 32) & WORD ^ name)[:, None]
@@ -82,12 +72,16 @@ def random_key(generator: Generator) -> int:
 
 
 def keys(key: int, count: int) -> Tensor:
-    """(count,) long, the key of each individual."""
+    """(count,) long, the key of each individual, from the random word of a generation."""
     return _mixed(key + GOLDEN * torch.arange(1, count + 1))
 
 
 def words(keys: Tensor, numbers: Tensor) -> Tensor:
-    """(...) long, 64 random bits for the `numbers` (...), from 0, of individuals' keys (...)."""
+    """(...) long, 64 random bits for the `numbers` (...), from 0, of individuals' keys (...).
+
+    Number i is the i-th of SplitMix64 with that key (Steele, Lea & Flood, "Fast splittable
+    pseudorandom number generators", OOPSLA 2014), in any order and in any number of threads.
+    """
     return _mixed(keys + GOLDEN * (numbers + 1))
 
 
@@ -121,8 +115,8 @@ def normal_from(words: Tensor) -> Tensor:
 def quantiles() -> Tensor:
     """(1281, 3) float32, coefficients of the normal quantile of 2^e (1 + (k + t) / 32) / 2^41.
 
-    The row of e and k holds coefficients of 1, t and t². They interpolate the quantile at the ends
-    and in the middle of a step. A probability that is rounded up to 2^40 has the last row.
+    The row of e and k holds coefficients of 1, t and t², which interpolate the ends and the middle
+    of a step. A probability that is rounded up to 2^40 has the last row.
     """
     place = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
     step = torch.arange(STEPS, dtype=torch.float64)[:, None]
@@ -137,10 +131,9 @@ def quantiles() -> Tensor:
 def shuffled(count: int, key: int) -> Tensor:
     """(count,) long, a permutation of 0 … count - 1 that follows from a key.
 
-    The place of each number is computed from the number alone, by a Feistel network on as many bits
-    as `count` needs, repeated while the result is too large (Black & Rogaway, "Ciphers with
-    arbitrary finite domains", 2002). So it can be computed in any order, on any device, as in
-    `native/engine/draws.h`.
+    Each number's place follows from it alone, by a Feistel network on as many bits as `count`
+    needs, repeated while the result is too large (Black & Rogaway, "Ciphers with arbitrary finite
+    domains", 2002); `native/engine/draws.h` has the same.
     """
     bits = max(2, (count - 1).bit_length())
     low = bits // 2
@@ -160,18 +153,14 @@ def shuffled(count: int, key: int) -> Tensor:
 def pick(draw: Tensor, count: Tensor | int) -> Tensor:
     """⌊draw · count⌋ (...) long from draws (...) in [0, 1); 0 where the count is 0.
 
-    In float32, a draw close to 1 can round up to the count itself; it then counts as the last of 0
-    … count - 1.
+    In float32, a draw close to 1 can round up to the count itself, and then counts as the last.
     """
     last = torch.as_tensor(count) - 1
     return (draw * count).long().minimum(last).clamp_min(0)
 
 
 def nth_true(mask: Tensor, draw: Tensor) -> Tensor:
-    """(P, *shape) long: for each draw (P, *shape), a random True of its row of `mask` (P, N).
-
-    It is 0 for a row without any True.
-    """
+    """(P, *shape) long: for each draw (P, *shape), a random True of `mask` (P, N), 0 without any."""
     order = torch.argsort((~mask).long(), dim=1, stable=True)
     at = pick(draw.reshape(len(mask), -1), mask.sum(1)[:, None])
     return order.gather(1, at).view(draw.shape)

@@ -1,7 +1,6 @@
 """Dry runs: user-defined parts are tried on two rows before anything long begins.
 
-Actions, Γ, C and whole environments are tried once. Each error names the method, what it returned,
-and what it should return.
+Each error names the method, what it returned, and what it should return.
 """
 
 import sysconfig
@@ -43,13 +42,11 @@ def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *g
 def failed_at(e: Exception) -> str:
     """Where the user's code failed, such as " in line 12 of wave.py"; "" if that is not known."""
     others = {Path(__file__).resolve().parents[1], *LIBRARIES}
-    frames = [(Path(f.filename), f.lineno) for f in traceback.extract_tb(e.__traceback__)]
-    own = [
-        (path.name, line)
-        for path, line in frames
-        if not others & set(path.parents) and not path.name.startswith("<")
-    ]
-    return f" in line {own[-1][1]} of {own[-1][0]}" if own else ""
+    for frame in reversed(traceback.extract_tb(e.__traceback__)):
+        path = Path(frame.filename)
+        if not others & set(path.parents) and not path.name.startswith("<"):
+            return f" in line {frame.lineno} of {path.name}"
+    return ""
 
 
 def reason(e: Exception) -> str:
@@ -67,8 +64,7 @@ def expect(
 ) -> None:
     """Raise `error` unless a value is a tensor of that shape and type.
 
-    The message begins with `who`, such as "action 'Wave': forward", and names `what` if the method
-    returns several things.
+    The message begins with `who`, such as "action 'Wave': forward", and names `what` of several.
     """
     if not isinstance(value, Tensor) or value.shape != tuple(shape) or value.dtype != dtype:
         raise error(

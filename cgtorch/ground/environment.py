@@ -1,7 +1,6 @@
-"""The interfaces that skills run in: scenarios, lanes, environments.
+"""The interfaces that skills run in: scenarios, lanes, data, environments.
 
 A *lane* is one skill on one scenario. Everything that runs skills works on a batch of lanes.
-Everything that skills run in, model or world, is an `Environment`, and a step returns new lanes.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -17,9 +16,8 @@ from cgtorch.ground.asked import Asked
 class ScenarioBatch:
     """B initial states of a world.
 
-    A subclass is a frozen dataclass of tensors with B rows: whatever the world needs to know, such
-    as positions or a seed. It needs only its fields. A skill that runs again on a scenario must
-    behave in the same way, so the noise of the world belongs to the scenario.
+    A subclass is a frozen dataclass of tensors with B rows, such as positions or a seed. A skill
+    that runs again on a scenario behaves in the same way, so a world's noise belongs to it.
     """
 
     def __len__(self) -> int:
@@ -91,7 +89,7 @@ class Lanes:
         return changed
 
     def with_memory(self, part: slice) -> Self:
-        """The same lanes with only a part of their memory, as a view of the original memory."""
+        """The same lanes with only a part of their memory, as a view."""
         return replace(self, memory=self.memory[:, part])
 
     def write(self, which: slice, before: "Lanes", after: "Lanes") -> None:
@@ -103,10 +101,9 @@ class Lanes:
 
 
 def rows_where(mask: Tensor) -> Tensor:
-    """(k,) long, rows with all for which `mask` (n,) is true: exactly these, or all rows on a GPU.
+    """(k,) long, the rows where `mask` (n,) is true; on a GPU all rows, as counting makes it wait.
 
-    Counting them on a GPU would make the host wait in the middle of a step. So results for such
-    rows are used only where the mask is true.
+    So results for such rows are used only where the mask is true.
     """
     few = mask.is_cpu and not torch.compiler.is_compiling()  # an exported graph knows no counts
     return mask.nonzero()[:, 0] if few else torch.arange(len(mask), device=mask.device)
@@ -139,19 +136,15 @@ class Dataset:
     def whole(self, percept_size: int | None = None) -> bool:
         """Whether untrusted tensors are finite and fit one another, and percepts have D numbers."""
         n, d = (*self.percept.shape, 0, 0)[:2]
+        numbers = self.percept, self.control, self.next_percept, self.tested
         return (
             self.percept.shape == self.next_percept.shape == (n, d)
-            and d == (d if percept_size is None else percept_size)
-            and self.control.dim() == 2
-            and len(self.control) == n
-            and self.tested.dim() == 2
-            and self.tested.shape[1] == d
-            and self.succeeded.shape == self.tested.shape[:1]
+            and percept_size in (None, d)
+            and self.control.shape[:-1] == (n,)
+            and self.tested.shape == (*self.succeeded.shape[:1], d)
+            and self.succeeded.dim() == 1
             and self.succeeded.dtype == torch.bool
-            and all(
-                x.dtype == torch.float32 and bool(x.isfinite().all())
-                for x in (self.percept, self.control, self.next_percept, self.tested)
-            )
+            and all(x.dtype == torch.float32 and bool(x.isfinite().all()) for x in numbers)
         )
 
 
@@ -159,8 +152,7 @@ class Dataset:
 class Environment(Protocol):
     """Where skills run: a learned model, a world, or a user's own domain.
 
-    All methods are batched and must treat rows independently, so that a result never depends on the
-    other lanes of the batch.
+    All methods are batched and treat rows independently: no result depends on other lanes.
     """
 
     @property
@@ -193,18 +185,14 @@ class Environment(Protocol):
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
         """The probability (n,) in [0, 1] that the task succeeds here and now; a world gives 0 or 1.
 
-        Also returned are the lanes, whose states may store the result. Nothing about the lanes may
-        change that an action could notice.
+        The returned lanes may store the result in their states; nothing changes that actions see.
         """
         ...
 
 
 @runtime_checkable
 class Seeded(Protocol):
-    """An environment whose scenarios have their own seeds, for stochastic actions.
-
-    It is needed where the same scenario can have several indices.
-    """
+    """An environment whose scenarios, which may have several indices, have seeds of their own."""
 
     @property
     def seeds(self) -> Tensor:
@@ -233,9 +221,8 @@ class Live(Protocol):
 class Rewarded(Protocol):
     """An environment with rewards, in episodes that end.
 
-    When its episode is over, a lane ends, at whatever node it is. It has succeeded if
-    `Environment.success` says so. A lane that ends earlier has not finished its episode and gets no
-    return, so a skill gains nothing by doing nothing.
+    A lane ends with its episode, and has succeeded if `Environment.success` says so. One that ends
+    earlier gets no return, so that a skill gains nothing by doing nothing.
     """
 
     def over(self, lanes: Lanes) -> Tensor:
@@ -251,8 +238,7 @@ class Rewarded(Protocol):
 class Episode:
     """An episode of a robot: its first percept (1, D), world actions, and how it ended.
 
-    Its data come after those of episodes that were broken off before it; `asked` is what all of
-    them have cost.
+    The data, and the costs `asked`, are also those of episodes broken off before it.
     """
 
     percept: Tensor

@@ -1,7 +1,7 @@
 """The error classes: every error of the library for bad input derives from `CgtorchError`.
 
-Each message is one line that names what is wrong, its value, and what to do. Values may come from
-hostile files, so messages are always printable and of bounded length.
+Each message is one line that names what is wrong, its value, and what to do. As values may come
+from hostile files, it is always printable and of bounded length.
 """
 
 BEGINNING, END = 450, 150  # characters that stay of a long message: what is wrong, and what to do

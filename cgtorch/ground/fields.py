@@ -21,8 +21,7 @@ class Field:
         unit: Such as "m"; an angle is in rad.
         low: The smallest possible value; of a control, the smallest that is worth trying.
         high: The largest.
-        kind: "number"; "angle", which is the same after a whole turn; or "discrete", a whole
-            number.
+        kind: "number"; "angle", the same after a whole turn; or "discrete", a whole number.
     """
 
     name: str

@@ -83,8 +83,7 @@ def read_json(
 ) -> Any:
     """Read a JSON file of at most `max_bytes`.
 
-    It is stricter than the standard library: duplicate keys and numbers that are not finite in
-    float64 are errors. Any other failure is an `error`, too, whatever the file contains.
+    Duplicate keys and numbers that are not finite in float64 are errors, as any other failure.
     """
     raw = read_bytes(path, max_bytes, error)
     try:
@@ -143,7 +142,7 @@ class JsonLines:
         if not data:
             return
         if not self._whole:
-            self._cut_off_torn()
+            self._cut_off_torn_line()
         with writing(self.path):
             file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
             try:
@@ -170,14 +169,12 @@ class JsonLines:
                     )
                 yield row
 
-    def _cut_off_torn(self) -> None:
-        """Remove what is after the last whole line, which nobody has seen."""
+    def _cut_off_torn_line(self) -> None:
         self._whole = True
-        if self.path.is_file():
-            data = self.path.read_bytes()
-            if torn := len(data) - (data.rfind(b"\n") + 1):
-                with writing(self.path), self.path.open("r+b") as file:
-                    file.truncate(len(data) - torn)
+        data = self.path.read_bytes() if self.path.is_file() else b""
+        if len(data) > (whole := data.rfind(b"\n") + 1):
+            with writing(self.path):
+                os.truncate(self.path, whole)
 
 
 def tensors_of(data: bytes) -> dict[str, "Tensor"]:

@@ -98,13 +98,11 @@ def _call(number: int) -> bytes:
 def one_thread_each() -> Iterator[int]:
     """Let torch use one thread in this context, and yield the number of threads before."""
     count = torch.get_num_threads()
-    if count > 1:
-        torch.set_num_threads(1)
+    torch.set_num_threads(1)
     try:
         yield count
     finally:
-        if count > 1:
-            torch.set_num_threads(count)  # also for threads that are still to start
+        torch.set_num_threads(count)  # also for threads that are still to start
 
 
 def kept_threads(count: int) -> ThreadPoolExecutor:

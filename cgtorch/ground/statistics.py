@@ -52,9 +52,8 @@ class Acceptance:
 def accept_model(before: "Tensor", after: "Tensor") -> Acceptance:
     """Accept a successor unless its errors (n,) are worse by more than the comparison's noise.
 
-    The noise is two standard errors of the mean of the row-wise differences, so one in forty
-    equally good successors is refused. It is almost zero if the models give almost equal answers,
-    so many small losses cannot add up. Without rows to compare, the successor is accepted.
+    That is two standard errors of the mean of the row-wise differences: one in forty equally good
+    successors is refused, and many small losses cannot add up. Without rows it is accepted.
     """
     rows = len(before)
     if rows < 2:

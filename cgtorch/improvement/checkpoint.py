@@ -91,11 +91,10 @@ def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkp
     """A checkpoint of a result and of those of `count` islands that this rank holds."""
     # Looked at now: what is kept when a step is interrupted is written after more was drawn.
     held = dict(zip(ranks.held(count), map(island_tensors, islands), strict=True))
-    own = held[min(held)]  # for its names and types, where the part is another rank's
 
     def part(number: int) -> dict[str, Tensor]:
-        found = ranks.gather_part(held.get(number, own), number, count)
-        return {name: tensor.cpu() for name, tensor in found.items()}
+        mine = {name: tensor.cpu() for name, tensor in held.get(number, {}).items()}
+        return ranks.part_of_holder(mine, number, count)
 
     parts = tuple(partial(part, number) for number in range(count))
     return Checkpoint(found_tensors(found), parts, apart=len(held) < count)

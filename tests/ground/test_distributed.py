@@ -70,7 +70,7 @@ def test_alone_everything_is_ones_own() -> None:
         assert ranks.held(3) == range(3)
         assert torch.equal(ranks.all_gather_parts(rows, 7), rows)
         assert torch.equal(ranks.ring_shift(rows, 7), rows.roll(1))
-        assert ranks.gather_part({"x": rows}, 6, 7)["x"] is rows
+        assert ranks.part_of_holder(rows, 6, 7) is rows
         ranks.wait()
 
 
