@@ -16,8 +16,7 @@ os.environ.setdefault("MUJOCO_GL", "egl")  # which MuJoCo reads when it is impor
 
 from cgtorch.runs.skills import last_skill
 from cgtorch.tabletop.physics.film import animated, pictures_of
-from cgtorch.tabletop.viewer.choice import scenario_of
-from cgtorch.tabletop.viewer.execution import execute
+from cgtorch.tabletop.viewer.execution import execute, scenario_of
 from cgtorch.tabletop.world import Scenarios
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -15,7 +15,7 @@ from cgtorch.ground.errors import SettingsError
 
 if TYPE_CHECKING:
     from cgtorch.runs.skills import Chosen
-    from cgtorch.tabletop.viewer.choice import Candidate
+    from cgtorch.tabletop.viewer.execution import Candidate
 
 EXAMPLES = """\b
 Examples:
@@ -81,8 +81,7 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
     with importing():
         import torch
 
-        from cgtorch.tabletop.viewer.choice import Wish
-        from cgtorch.tabletop.viewer.page import open_page, play_for_ever
+        from cgtorch.tabletop.viewer.page import Wish, open_page, play_for_ever
         from cgtorch.tabletop.world import draw_of
 
     torch.set_num_threads(1)
@@ -115,7 +114,7 @@ def _film(
 
         from cgtorch.ground.files import write_bytes
         from cgtorch.tabletop.physics.film import film_of
-        from cgtorch.tabletop.viewer.choice import scenario_of
+        from cgtorch.tabletop.viewer.execution import scenario_of
 
     torch.set_num_threads(1)
     chosen, candidates = _offer(path, rest["name"], rest["actions"], scenarios, "mujoco")
@@ -143,7 +142,7 @@ def _offer(
     from cgtorch.runs.ledger import read_entry, read_index
     from cgtorch.runs.skills import chosen_skill, stored_domain
     from cgtorch.tabletop.domain import Tabletop
-    from cgtorch.tabletop.viewer.choice import Candidate
+    from cgtorch.tabletop.viewer.execution import Candidate
 
     if not path.is_file() and (spec := stored_domain(path)) not in (None, TABLETOP):
         raise SettingsError(

@@ -1,11 +1,11 @@
 """One skill on one scenario, step by step, with everything that the page shows."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from cgtorch.graphs import Action, Skill
 from cgtorch.ground.environment import Lanes, start_lanes
@@ -13,10 +13,43 @@ from cgtorch.simulation import most_steps
 from cgtorch.simulation.call_stack import Frames, advance, first_frames
 from cgtorch.simulation.program import Program, compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
-from cgtorch.tabletop.world import ObservedTabletop, Scenarios
+from cgtorch.tabletop.domain import Tabletop
+from cgtorch.tabletop.world import ObservedTabletop, Scenarios, draw_of
+from cgtorch.tabletop.world.geometry import rotate
+from cgtorch.training.evaluate import check_percepts
 
+FROM_EDGE = 0.03  # m that a dragged object keeps from the table's edges
 Place: TypeAlias = tuple[Skill, int]
 """A node: its skill, and its slot in that skill's graph."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A skill that can be shown, and its tabletop."""
+
+    skill: Skill
+    domain: Tabletop
+
+    def world(self, scenarios: Scenarios) -> ObservedTabletop:
+        """The world of scenarios; SettingsError if the skill reads other percepts."""
+        world = self.domain.world(scenarios)
+        check_percepts(self.skill, world.percept_size, "such scenarios")
+        return world
+
+
+def scenario_of(kind: str, count: int, seed: int, number: int) -> Scenarios:
+    """Scenario `number`, from 0 on, of those that `cgtorch-evaluate` tries."""
+    drawn = draw_of(kind)(count, Generator().manual_seed(seed))
+    return drawn[torch.tensor([number])]
+
+
+def put_object(scenario: Scenarios, at: Tensor) -> Scenarios:
+    """The scenario with its object at (2,) m, or at the nearest place on the table."""
+    table = scenario.table[0]
+    half = table[3:5] / 2 - FROM_EDGE
+    local = rotate(at - table[:2], -table[2])
+    placed = rotate(local.clamp(-half, half), table[2]) + table[:2]
+    return replace(scenario, object=placed[None])
 
 
 @dataclass(frozen=True)
@@ -89,9 +122,8 @@ def execute(
 
 def _step(skill: Skill, program: Program, frames: Frames, outcome: int) -> Step:
     """The next step of the only lane, with the names of its nodes."""
-    callers = frames.caller[0, 1 : int(frames.level) + 1].tolist()
     places, within, offset = [], skill, 0
-    for row in callers:
+    for row in frames.caller[0, 1 : int(frames.level) + 1].tolist():
         places.append((within, row - offset))
         within = within.sub_skills[_name(*places[-1])]
         first = program.entry[int(program.kind[row]) - len(program.actions.primitives)]

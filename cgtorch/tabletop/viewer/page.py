@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,9 @@ import viser
 from cgtorch.ground.errors import CgtorchError, SettingsError
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.physics import MujocoWorld
-from cgtorch.tabletop.viewer.choice import Candidate, Wish, put_object, scenario_of
-from cgtorch.tabletop.viewer.execution import execute
-from cgtorch.tabletop.viewer.panel import headline, levels_html, readings_html
-from cgtorch.tabletop.viewer.scene import Scene
-from cgtorch.tabletop.viewer.simulated import simulated_timeline
-from cgtorch.tabletop.viewer.timeline import FPS, Timeline, timeline_of
+from cgtorch.tabletop.viewer.execution import Candidate, execute, put_object, scenario_of
+from cgtorch.tabletop.viewer.scene import Scene, headline, levels_html, readings_html
+from cgtorch.tabletop.viewer.timeline import FPS, Timeline, simulated_timeline, timeline_of
 from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.general import DRAWS
 
@@ -29,6 +27,20 @@ NONE = "nothing"
 NOTHING = '<p style="padding:6px 12px">Choose a skill to compare with.</p>'
 APART = 4.5  # m between two skills that are compared
 GRAPH_WIDTH, CONTROLS_WIDTH = 470, 330  # px
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The first choice: names of candidates, one of them to compare with or none.
+
+    There are `count` scenarios of a kind to choose from; `seed` is that of these and their noise.
+    """
+
+    skill: str
+    against: str | None
+    scenarios: str
+    count: int
+    seed: int
 
 
 class Page:
@@ -42,7 +54,7 @@ class Page:
         self.scenes: list[Scene] = []
         self.timelines: list[Timeline] = []
         self.scenario = scenario_of(wish.scenarios, wish.count, wish.seed, 0)
-        self.shown: list[tuple[int, int, str]] = []
+        self.shown: dict[int, object] = {}  # what is explained now, by the number of the skill
         self.clock: float | None = None  # when the first picture would have been due, if playing
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         server.gui.set_panel_label("cgtorch")
@@ -51,7 +63,13 @@ class Page:
             section_color=(205, 210, 216), plane_color=(247, 248, 250), plane_opacity=1.0,
         )  # fmt: skip
         self._controls()
-        self._graphs()
+        panel = server.gui.add_panel()
+        panel.dock_left()
+        panel.set_width(GRAPH_WIDTH)
+        self.graphs: list[tuple[Any, Any]] = []
+        for title in ("Skill", "Compared with"):
+            with panel.add_tab(title):
+                self.graphs.append((server.gui.add_html(""), server.gui.add_html("")))
         self.gizmo = server.scene.add_transform_controls(
             "/drag", scale=0.22, active_axes=(True, True, False), disable_rotations=True
         )
@@ -59,20 +77,19 @@ class Page:
         self._run(self.scenario)
 
     def _controls(self) -> None:
-        gui, wish = self.server.gui, self.wish
+        gui, wish, names = self.server.gui, self.wish, tuple(self.candidates)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(CONTROLS_WIDTH)
         with gui.add_folder("Execution"):
             self.playing = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
-            self.steps = gui.add_button_group("Step", ("first", "back", "next", "last"))
+            steps = gui.add_button_group("Step", ("first", "back", "next", "last"))
             self.frame = gui.add_slider("Picture", 0, 1, 1, 0)
             self.speed = gui.add_slider("Speed", 0.25, 4.0, 0.25, 1.0)
         with gui.add_folder("Scenario"):
             self.kind = gui.add_dropdown("Scenarios", tuple(DRAWS), initial_value=wish.scenarios)
             self.number = gui.add_slider("Number", 1, max(2, wish.count), 1, 1)
             self.seed = gui.add_number("Seed", wish.seed, min=0, max=2**31 - 1, step=1)
-            self.again = gui.add_button("Run again", icon=viser.Icon.REFRESH)
-        names = tuple(self.candidates)
+            again = gui.add_button("Run again", icon=viser.Icon.REFRESH)
         with gui.add_folder("Skills"):
             self.skill = gui.add_dropdown("Skill", names, initial_value=wish.skill)
             self.against = gui.add_dropdown(
@@ -80,29 +97,19 @@ class Page:
             )
         self.note = gui.add_markdown("")
         self.playing.on_click(lambda _: self.toggle())
-        self.steps.on_click(lambda event: self.step(event.target.value))
+        steps.on_click(lambda event: self.step(event.target.value))
         self.frame.on_update(self._seek)
         self.speed.on_update(lambda _: self._wind())
         for choice in (self.kind, self.number, self.seed):
             choice.on_update(lambda _: self.choose())
-        for choice in (self.skill, self.against):
-            choice.on_update(lambda _: self.run())
-        self.again.on_click(lambda _: self.run(play=True))
-
-    def _graphs(self) -> None:
-        panel = self.server.gui.add_panel()
-        panel.dock_left()
-        panel.set_width(GRAPH_WIDTH)
-        self.graphs: list[tuple[Any, Any]] = []
-        for title in ("Skill", "Compared with"):
-            with panel.add_tab(title):
-                self.graphs.append((self.server.gui.add_html(""), self.server.gui.add_html("")))
+        for skill in (self.skill, self.against):
+            skill.on_update(lambda _: self.run())
+        again.on_click(lambda _: self.run(play=True))
 
     def choose(self) -> None:
         """Run the chosen scenario."""
         number = min(int(self.number.value), self.wish.count) - 1
-        seed = int(self.seed.value)
-        self.run(scenario_of(self.kind.value, self.wish.count, seed, number))
+        self.run(scenario_of(self.kind.value, self.wish.count, int(self.seed.value), number))
 
     def run(self, scenario: Scenarios | None = None, play: bool = False) -> None:
         """Run the chosen skills, or show why that is impossible and keep what is shown."""
@@ -136,12 +143,12 @@ class Page:
         """Make one scene per skill, with its robot, side by side."""
         if [id(s.robot) for s in self.scenes] != [*map(id, robots)]:
             for scene in self.scenes:
-                scene.remove()
+                scene.place.remove()
             self.scenes = [
                 Scene(self.server, f"/skill-{i}", robot, -APART * i)
                 for i, robot in enumerate(robots)
             ]
-        self.timelines, self.shown = timelines, []
+        self.timelines, self.shown = timelines, {}
         for scene, timeline in zip(self.scenes, timelines, strict=True):
             scene.load(timeline)
         x, y, z = *self.scenario.object[0].tolist(), float(self.scenario.table[0, 5])
@@ -153,24 +160,19 @@ class Page:
         camera.look_at = (-0.3, middle - 0.2, 0.3)
 
     def show(self, picture: int) -> None:
-        """Show one picture of all scenes."""
+        """Show one picture of all scenes, with the graph and the readings of each skill."""
         with self.lock, self.server.atomic():
             for i, (scene, timeline) in enumerate(zip(self.scenes, self.timelines, strict=True)):
                 scene.show(picture)
-                self._explain(i, timeline, min(picture, len(timeline) - 1))
+                at = min(picture, len(timeline) - 1)
+                now = int(timeline.step[at]), int(timeline.seen[at]), headline(timeline, at)
+                if self.shown.get(i) != now:
+                    self.shown[i], run = now, timeline.execution
+                    readings, graph = self.graphs[i]
+                    readings.content = readings_html(timeline, at)
+                    graph.content = levels_html(run.skill, run.steps[now[0]])
             for readings, graph in self.graphs[len(self.timelines) :]:
                 readings.content, graph.content = NOTHING, ""
-
-    def _explain(self, i: int, timeline: Timeline, picture: int) -> None:
-        """Update the graph and the readings of one skill."""
-        step = int(timeline.step[picture])
-        now = (step, int(timeline.seen[picture]), headline(timeline, picture))
-        if i < len(self.shown) and self.shown[i] == now:
-            return
-        self.shown[i : i + 1] = [now]
-        readings, graph = self.graphs[i]
-        readings.content = readings_html(timeline, picture)
-        graph.content = levels_html(timeline.execution.skill, timeline.execution.steps[step])
 
     def toggle(self) -> None:
         """Play or pause; at the end, play from the start."""
@@ -191,7 +193,7 @@ class Page:
                 self.clock = time.monotonic() - self.frame.value / (FPS * self.speed.value)
 
     def pause(self) -> None:
-        """Stay at the present picture."""
+        """Stop at the present picture."""
         self.clock = None
         self.playing.label, self.playing.icon = "Play", viser.Icon.PLAYER_PLAY
 
@@ -201,9 +203,10 @@ class Page:
             self.pause()
             timeline, here, last = self.timelines[0], int(self.frame.value), int(self.frame.max)
             now = int(timeline.step[min(here, len(timeline) - 1)])
+            back = now if here > timeline.start_of(now) else now - 1
             target = {
                 "first": 0,
-                "back": timeline.start_of(now if here > timeline.start_of(now) else now - 1),
+                "back": timeline.start_of(back),
                 "next": timeline.start_of(now + 1),
                 "last": last,
             }[where]
@@ -227,11 +230,10 @@ class Page:
 
     def _dragged(self, event: Any) -> None:
         """Put the object where it was dragged to and run again."""
-        if event.phase != "end":
-            return
-        with self.lock:
-            at = torch.tensor(event.target.position[:2], dtype=self.scenario.object.dtype)
-            self.run(put_object(self.scenario, at), play=True)
+        if event.phase == "end":
+            with self.lock:
+                at = torch.tensor(event.target.position[:2], dtype=self.scenario.object.dtype)
+                self.run(put_object(self.scenario, at), play=True)
 
 
 def _timeline(candidate: Candidate, scenario: Scenarios) -> Timeline:

@@ -1,7 +1,9 @@
-"""One skill at work in three dimensions: robot, table, object, way, and percept."""
+"""One skill at work, in three dimensions and as HTML: robot, table, object, percept, graph."""
 
 import io
 import math
+import re
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,15 +11,23 @@ import numpy.typing as npt
 import torch
 import viser
 import yourdfpy
+from markupsafe import Markup
+from matplotlib import rc_context
 from torch import Tensor
 from viser.extras import ViserUrdf
 
+from cgtorch.graphs import Skill
+from cgtorch.graphs.clusters import Cluster, clusters_of
+from cgtorch.report.graph_picture import draw_clusters, gid_of
+from cgtorch.report.html import STYLE, inline_svg, templates
+from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, TABLE_THICKNESS
 from cgtorch.tabletop.physics import Thing
+from cgtorch.tabletop.viewer.execution import Step
 from cgtorch.tabletop.viewer.timeline import Timeline
 from cgtorch.tabletop.world.geometry import box_rectangle, corners, moved, rotate
-from cgtorch.tabletop.world.percepts import BOX, present
+from cgtorch.tabletop.world.percepts import BOX, percept_fields, present
 
 Array = npt.NDArray[np.float64]
 Colour = tuple[int, int, int]
@@ -28,6 +38,13 @@ DONE, AHEAD, SEEN, GOAL, REFUSED, GRIP = (
 )  # fmt: skip
 OBJECT_RADIUS, LEG_SIDE, OBSTACLE_HEIGHT, CONTACT = Thing().size[0], 0.06, 0.35, 0.02  # m
 FLOOR = 0.006  # m above the floor that lines are drawn
+CROSS = torch.tensor([[[-0.06, 0.0], [0.06, 0.0]], [[0.0, -0.06], [0.0, 0.06]]])  # m
+NOSE = torch.tensor([0.33, 0.0])  # m: the end of the line that shows a heading
+TEMPLATES = templates("cgtorch.tabletop.viewer")
+LIT, RIM = "#ffd60a", "#1c1f24"
+SCALE = 0.94  # of pictures of graphs, where 1 is 96 pixels an inch
+OUTER_HEIGHT = 2.1
+"""The largest height, in inches, of a level that waits for the one within it."""
 
 
 class Scene:
@@ -43,14 +60,12 @@ class Scene:
         xml = io.BytesIO(robot.urdf.xml)
         model = yourdfpy.URDF.load(xml, load_meshes=False, build_collision_scene_graph=True)
         visual = bool(model.scene.geometry)
-        # Where the URDF's root link is in the base frame.
         root = model.get_transform(model.base_link, robot.description.base_frame)
         turn = viser.transforms.SO3.from_matrix(root[:3, :3]).wxyz
-        server.scene.add_frame(
-            f"{name}/base/robot", show_axes=False, wxyz=turn, position=root[:3, 3]
-        )
+        below = f"{name}/base/robot"
+        server.scene.add_frame(below, show_axes=False, wxyz=turn, position=root[:3, 3])
         self.drawn = ViserUrdf(
-            server, model, root_node_name=f"{name}/base/robot",
+            server, model, root_node_name=below,
             load_meshes=visual, load_collision_meshes=not visual,
         )  # fmt: skip
         self.rest = _rest(model, robot)
@@ -62,24 +77,26 @@ class Scene:
         self.timeline: Timeline | None = None
         self.frame, self.marked = -1, 0
 
-    def remove(self) -> None:
-        """Remove everything."""
-        self.place.remove()
-
     def load(self, timeline: Timeline) -> None:
         """Show another execution, from its start."""
         self.timeline, self.frame = timeline, -1
         self.columns = [self.actuated.index(name) for name in timeline.names]
         scene, run = timeline.execution.scenario, timeline.execution
-        self._table(scene.table[0])
+        x, y, yaw, sx, sy, height = scene.table[0].tolist()
+        top = [sx, sy, TABLE_THICKNESS]
+        self._block("table", (x, y, yaw), top, height - TABLE_THICKNESS / 2, WOOD)
+        inner = torch.tensor([x, y, yaw, sx - 2 * LEG_SIDE, sy - 2 * LEG_SIDE])
+        leg = [LEG_SIDE, LEG_SIDE, height - TABLE_THICKNESS]
+        for k, (leg_x, leg_y) in enumerate(corners(inner).tolist()):
+            self._block(f"leg-{k}", (leg_x, leg_y, yaw), leg, leg[2] / 2, LEG)
         for k, box in enumerate(scene.obstacles[0]):
+            bx, by, turn, *sides = box.tolist()
             self._block(
-                f"obstacle-{k}", box[:3], [*box[3:5].tolist(), OBSTACLE_HEIGHT],
-                OBSTACLE_HEIGHT / 2, BOX_COLOUR, visible=bool(present(box)),
+                f"obstacle-{k}", (bx, by, turn), [*sides, OBSTACLE_HEIGHT], OBSTACLE_HEIGHT / 2,
+                BOX_COLOUR, visible=bool(present(box)),
             )  # fmt: skip
-        above = float(scene.table[0, 5]) + 0.5
         self.server.scene.add_label(
-            f"{self.name}/label", run.skill.name, position=(0.0, 0.0, above),
+            f"{self.name}/label", run.skill.name, position=(0.0, 0.0, height + 0.5),
             anchor="bottom-center", font_screen_scale=1.3,
         )  # fmt: skip
         stops = run.pose[torch.cat([torch.tensor([True]), (run.pose[1:] != run.pose[:-1]).any(1)])]
@@ -96,8 +113,7 @@ class Scene:
             return
         first, self.frame = self.frame < 0, frame
         x, y, turn = timeline.pose[frame].tolist()
-        self.base.position = np.array([x, y, 0.0])
-        self.base.wxyz = np.array([math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)])
+        self.base.position, self.base.wxyz = np.array([x, y, 0.0]), np.array(_about_z(turn))
         turned = viser.transforms.SO3(timeline.turned[frame].double().numpy())
         middle = turned.apply(np.array([0.0, 0.0, GRASP_HEIGHT]))
         self.object.position = timeline.object[frame].numpy() + middle
@@ -122,22 +138,14 @@ class Scene:
             point_size=CONTACT, point_shape="circle", visible=self.marked > 0,
         )  # fmt: skip
 
-    def _table(self, table: Tensor) -> None:
-        x, y, yaw, sx, sy, height = table.tolist()
-        self._block("table", table[:3], [sx, sy, TABLE_THICKNESS], height - TABLE_THICKNESS / 2,
-                    WOOD)  # fmt: skip
-        inner = torch.tensor([x, y, yaw, sx - 2 * LEG_SIDE, sy - 2 * LEG_SIDE])
-        for k, corner in enumerate(corners(inner)):
-            at, length = torch.cat([corner, table[2:3]]), height - TABLE_THICKNESS
-            self._block(f"leg-{k}", at, [LEG_SIDE, LEG_SIDE, length], length / 2, LEG)
-
     def _block(
-        self, name: str, at: Tensor, sides: list[float], z: float, colour: Colour, **how: Any
-    ) -> None:
-        x, y, yaw = at.tolist()
+        self, name: str, at: tuple[float, float, float], sides: list[float], z: float,
+        colour: Colour, **how: Any,
+    ) -> None:  # fmt: skip
+        """A box with its centre at x, y (m), turned by a yaw (rad), and at a height."""
         self.server.scene.add_box(
             f"{self.name}/{name}", color=colour, dimensions=(sides[0], sides[1], sides[2]),
-            position=(x, y, z), wxyz=(math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)), **how,
+            position=(at[0], at[1], z), wxyz=_about_z(at[2]), **how,
         )  # fmt: skip
 
     def _footprints(self, pose: Tensor) -> Tensor:
@@ -148,16 +156,13 @@ class Scene:
 
     def _perceived(self, timeline: Timeline, seen: int) -> None:
         """Draw the table's box and the object as perceived."""
-        run, table = timeline.execution, timeline.execution.scenario.table[0]
+        run, top = timeline.execution, float(timeline.execution.scenario.table[0, 5])
         pose, percept = run.pose[seen], run.percept[seen]
-        box = corners(box_rectangle(percept[:BOX]))
-        box = rotate(box, pose[2]) + pose[:2]
-        self._lines("perceived", torch.stack([box, box.roll(-1, 0)], 1), SEEN,
-                    float(table[5]) + FLOOR, 3)  # fmt: skip
+        box = rotate(corners(box_rectangle(percept[:BOX])), pose[2]) + pose[:2]
+        self._lines("perceived", torch.stack([box, box.roll(-1, 0)], 1), SEEN, top + FLOOR, 3)
         at = rotate(percept[4:6], pose[2]) + pose[:2]
-        arm = torch.tensor([[[-0.06, 0.0], [0.06, 0.0]], [[0.0, -0.06], [0.0, 0.06]]])
-        self._lines("perceived-object", at + rotate(arm, pose[2].expand(2, 2)), SEEN,
-                    float(percept[6]) + 2 * FLOOR, 4)  # fmt: skip
+        cross, height = rotate(CROSS, pose[2].expand(2, 2)), float(percept[6]) + 2 * FLOOR
+        self._lines("perceived-object", at + cross, SEEN, height, 4)
 
     def _asked(self, timeline: Timeline, step: int) -> None:
         """Draw the pose that the message commands, as the outline of the base."""
@@ -165,11 +170,10 @@ class Scene:
         message = run.message[step + 1, :3]
         there = len(message) == 3 and bool(message.isfinite().all())
         goal = moved(run.pose[step], message) if there else run.pose[step]
-        lines = self._footprints(goal[None])
-        nose = torch.stack([goal[:2], goal[:2] + rotate(torch.tensor([0.33, 0.0]), goal[2])])
+        nose = torch.stack([goal[:2], goal[:2] + rotate(NOSE, goal[2])])
+        lines = torch.cat([self._footprints(goal[None]), nose[None]])
         refused = (run.steps[step].name, run.steps[step].outcome) == ("MoveBase", "failure")
-        self._lines("asked", torch.cat([lines, nose[None]]), REFUSED if refused else GOAL,
-                    3 * FLOOR, 4, visible=there)  # fmt: skip
+        self._lines("asked", lines, REFUSED if refused else GOAL, 3 * FLOOR, 4, visible=there)
 
     def _lines(
         self, name: str, points: Tensor, colour: Colour, z: float, width: float, **how: Any
@@ -180,6 +184,11 @@ class Scene:
             f"{self.name}/{name}", flat if len(flat) else np.zeros((1, 2, 3)), colour,
             thickness=width, thickness_units="screen", **how,
         )  # fmt: skip
+
+
+def _about_z(turn: float) -> tuple[float, float, float, float]:
+    """The quaternion of a turn about the vertical axis, w first."""
+    return math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)
 
 
 def _segments(points: Tensor) -> Tensor:
@@ -197,3 +206,77 @@ def _rest(model: Any, robot: Robot) -> Array:
         nearest = min(max(0.0, limit.lower), limit.upper) if bounded else 0.0
         positions.append(held.get(joint.name, nearest))
     return np.array(positions)
+
+
+def levels_html(skill: Skill, step: Step) -> str:
+    """The levels of a step, outermost first, as HTML, with its nodes and last edge highlighted."""
+    clusters = [_clusters(skill)[id(inner)] for inner, _ in step.places]
+    nodes = [c.nodes[f"{c.key}_n{s}"] for c, (_, s) in zip(clusters, step.places, strict=True)]
+    ended = nodes[-1].key, step.outcome
+    (edge,) = (e for e in clusters[-1].edges if (e.tail, e.outcome) == ended)
+    gids = [gid_of(c, node) for c, node in zip(clusters, nodes, strict=True)]
+    return TEMPLATES.get_template("levels.html").render(
+        nodes=[(_selector(gid), _selector(f"text:{gid}")) for gid in gids],
+        edge=_selector(gid_of(clusters[-1], edge)),
+        pictures=[_picture(skill, inner, inner is step.places[-1][0]) for inner, _ in step.places],
+        lit=LIT,
+        rim=RIM,
+    )
+
+
+def _selector(gid: str) -> Markup:
+    """The CSS selector of an element; names come from files and may contain anything."""
+    escaped = re.sub(r"[^\w .:›-]", lambda found: f"\\{ord(found[0]):x} ", gid)
+    return Markup(f'[data-part="{escaped}"]')  # noqa: S704  nothing of HTML is left
+
+
+@cache
+def _clusters(skill: Skill) -> dict[int, Cluster]:
+    return {id(cluster.skill): cluster for cluster in clusters_of(skill)}
+
+
+@cache
+def _picture(skill: Skill, inner: Skill, last: bool) -> Markup:
+    """One level as an SVG element."""
+    cluster = _clusters(skill)[id(inner)]
+    with rc_context(STYLE):
+        figure = draw_clusters([cluster])
+    scale = SCALE if last else min(SCALE, OUTER_HEIGHT / figure.get_size_inches()[1])
+    return inline_svg(figure, cluster.key, cluster.path, scale)
+
+
+def percept_rows(percept: Tensor) -> list[tuple[str, str]]:
+    """Names and values of a percept (D,)."""
+    values = zip(percept_fields(len(percept)), percept.tolist(), strict=True)
+    return [(field.name, f"{value:.3f} {field.unit}") for field, value in values]
+
+
+def message_rows(message: Tensor) -> list[tuple[str, str]]:
+    """Names and values of a message (M,), none where there is no message."""
+    if not message.isfinite().all():
+        return []
+    known = [(field.name, f" {field.unit}") for field in Tabletop.control]
+    known += [(f"{i}", "") for i in range(len(known), len(message))]
+    values = zip(known, message.tolist(), strict=False)
+    return [(name, f"{value:+.3f}{unit}") for (name, unit), value in values]
+
+
+def headline(timeline: Timeline, frame: int) -> str:
+    """One line: the number of the step, the node that runs, and its outcome."""
+    run, k = timeline.execution, int(timeline.step[frame])
+    step = run.steps[k]
+    skill, slot = step.places[-1]
+    end = f" · {run.skill.name} ended with {run.end}" if frame == len(timeline) - 1 else ""
+    node = f"{skill.name} · {step.name}_{slot}"
+    return f"step {k + 1} of {len(run.steps)}: {node} → {step.outcome}{end}"
+
+
+def readings_html(timeline: Timeline, frame: int) -> str:
+    """The headline, the percept and the message at one picture, as HTML."""
+    run = timeline.execution
+    message = run.message[min(int(timeline.step[frame]) + 1, len(run.message) - 1)]
+    return TEMPLATES.get_template("readings.html").render(
+        headline=headline(timeline, frame),
+        percept=percept_rows(run.percept[int(timeline.seen[frame])]),
+        message=message_rows(message) or [("none yet", "")],
+    )

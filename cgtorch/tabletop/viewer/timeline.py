@@ -1,17 +1,27 @@
-"""From the steps of an execution to pictures in time: the positions of base, arms and object."""
+"""From the steps of an execution to pictures in time: the positions of base, arms and object.
+
+Pictures are rows (F, 10 + J): the base's x, y (m) and θ (rad), where the object stands or is held,
+its foot (m), its quaternion, w first, and the positions of J joints (rad or m).
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
+import numpy
 import torch
 from torch import Tensor
 
-from cgtorch.graphs import Action
+from cgtorch.graphs import Action, Skill
 from cgtorch.tabletop.actions import Detect, Grasp
+from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot, arm_ways
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT
-from cgtorch.tabletop.viewer.execution import Execution
+from cgtorch.tabletop.physics.bodies import gripper_joints
+from cgtorch.tabletop.physics.model import Model
+from cgtorch.tabletop.physics.scene import thing_of
+from cgtorch.tabletop.viewer.execution import Execution, execute
+from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, to_frame, wrap
 
 FPS = 20
@@ -21,48 +31,9 @@ NEAR = 0.05
 """The least time (s) of a hand between two waypoints of its line to the object and up."""
 THINK, LOOK, REST = 0.4, 0.8, 1.0
 """Durations (s) of a step without motion, of one that perceives, and of the end."""
-
-
 UPRIGHT = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
 """The quaternion of an object that stands, w first."""
-
-
-@dataclass(frozen=True)
-class Moves:
-    """F pictures, one at least, of a step; see `Timeline`."""
-
-    pose: Tensor
-    joints: Tensor
-    object: Tensor
-    turned: Tensor
-    contacts: tuple[Tensor, ...]
-
-    @classmethod
-    def joined(cls, parts: Sequence["Moves"]) -> "Moves":
-        """One after the other."""
-        pose, joints, thing, turned = (
-            torch.cat([getattr(part, name) for part in parts])
-            for name in ("pose", "joints", "object", "turned")
-        )
-        points = tuple(points for part in parts for points in part.contacts)
-        return cls(pose, joints, thing, turned, points)
-
-    def __len__(self) -> int:
-        """F."""
-        return len(self.pose)
-
-    @property
-    def last(self) -> "Moves":
-        """The last picture, without its contacts."""
-        return Moves(self.pose[-1:], self.joints[-1:], self.object[-1:], self.turned[-1:], ())
-
-    def lasting(self, seconds: float) -> "Moves":
-        """The last picture for so long."""
-        count = _count(seconds)
-        rows = self.pose, self.joints, self.object, self.turned
-        pose, joints, thing, turned = (row[-1:].expand(count, -1) for row in rows)
-        none = torch.zeros(0, 4, dtype=torch.float64)
-        return Moves(pose, joints, thing, turned, (none,) * count)
+NO_CONTACT = torch.zeros(0, 4, dtype=torch.float64)
 
 
 @dataclass(frozen=True)
@@ -72,9 +43,9 @@ class Timeline:
     Attributes:
         names: J joints, those of all arms first, one arm after the other.
         pose: (F, 3) base x, y (m), θ (rad).
-        joints: (F, J) positions of the joints, rad or m.
         object: (F, 3) where the object stands or is held, its foot, m.
         turned: (F, 4) its quaternion, w first.
+        joints: (F, J) positions of the joints, rad or m.
         contacts: F times (C, 4): points (m) where the robot presses on something, and 1 where it
             should not, else 0.
         step: (F,) long, the present step.
@@ -84,9 +55,9 @@ class Timeline:
     execution: Execution
     names: tuple[str, ...]
     pose: Tensor
-    joints: Tensor
     object: Tensor
     turned: Tensor
+    joints: Tensor
     contacts: tuple[Tensor, ...]
     step: Tensor
     seen: Tensor
@@ -117,42 +88,41 @@ def timeline_of(execution: Execution, robot: Robot) -> Timeline:
     thing = torch.cat([scene.object[0], scene.table[0, 5:6]]).double()[None]
     pieces = []
     for k, step in enumerate(execution.steps):
-        before, after = execution.pose[k].double(), execution.pose[k + 1].double()
-        there = execution.object[k + 1 : k + 2].double()
+        pose = _drive(execution.pose[k].double(), execution.pose[k + 1].double())
         grasped = isinstance(step.action, Grasp) and step.outcome == "success"
-        pose = _drive(before, after)
         if grasped:
             joints, thing = _grasp(execution, k, robot, joints[-1], thing[-1])
         elif len(pose) == 1:
             pose = pose.expand(_count(seconds_of(step.action)), 3)
-        pieces.append(_together(pose, joints, thing))
-        joints, thing = joints[-1:], thing[-1:] if grasped else there
+        count = max(len(pose), len(joints))
+        parts = (_held(rows, count) for rows in (pose, thing, UPRIGHT[None], joints))
+        pieces.append(torch.cat([*parts], 1))
+        joints = joints[-1:]
+        thing = thing[-1:] if grasped else execution.object[k + 1 : k + 2].double()
     return laid_out(execution, joint_names(robot), pieces)
 
 
-def laid_out(execution: Execution, names: tuple[str, ...], pieces: Sequence[Moves]) -> Timeline:
+def laid_out(
+    execution: Execution,
+    names: tuple[str, ...],
+    pieces: Sequence[Tensor],
+    contacts: Sequence[Tensor] = (),
+) -> Timeline:
     """The pictures of all steps one after the other, and the last one for a while."""
-    rest = pieces[-1].lasting(REST)
-    every, steps = Moves.joined([*pieces, rest]), len(pieces)
-    which = [torch.full((len(moves),), k) for k, moves in enumerate(pieces)]
-    seen = [torch.cat([rows[1:], rows[:1] + 1]) for rows in which]
-    which.append(torch.full((len(rest),), max(0, steps - 1)))
-    seen.append(torch.full((len(rest),), steps))
-    rows = every.pose.float(), every.joints.float(), every.object.float(), every.turned.float()
-    return Timeline(execution, names, *rows, every.contacts, torch.cat(which), torch.cat(seen))
+    rest = pieces[-1][-1:].expand(_count(REST), -1)
+    rows, counts = torch.cat([*pieces, rest]).float(), torch.tensor([*map(len, pieces)])
+    step = torch.arange(len(pieces)).repeat_interleave(counts)
+    seen = step.clone()
+    seen[counts.cumsum(0) - 1] += 1
+    pose, thing, turned, joints = rows.split([3, 3, 4, len(names)], 1)
+    every = (*contacts, *[NO_CONTACT] * (len(rows) - len(contacts)))
+    step, seen = _held(step, len(rows)), _held(seen, len(rows))
+    return Timeline(execution, names, pose, thing, turned, joints, every, step, seen)
 
 
 def seconds_of(action: Action) -> float:
     """How long a step of an action lasts that moves nothing (s)."""
     return LOOK if isinstance(action, Detect | Grasp) else THINK
-
-
-def _together(*rows: Tensor) -> Moves:
-    """Poses, joints and objects of a step, each with its last row again until all are as long."""
-    count = max(map(len, rows))
-    pose, joints, thing = (_held(each, count) for each in rows)
-    none = torch.zeros(0, 4, dtype=torch.float64)
-    return Moves(pose, joints, thing, UPRIGHT.expand(count, 4), (none,) * count)
 
 
 def _count(seconds: float) -> int:
@@ -161,7 +131,7 @@ def _count(seconds: float) -> int:
 
 def _held(rows: Tensor, count: int) -> Tensor:
     """The rows, with the last one repeated until there are `count`."""
-    return torch.cat([rows, rows[-1:].expand(count - len(rows), -1)])
+    return torch.cat([rows, rows[-1:].expand(count - len(rows), *rows.shape[1:])])
 
 
 def _line(start: Tensor, end: Tensor, seconds: float) -> Tensor:
@@ -176,9 +146,9 @@ def _drive(before: Tensor, after: Tensor) -> Tensor:
     if way == 0 and float(turn) == 0:
         return after[None]
     corner = torch.cat([after[:2], before[2:]])
-    driven = _line(before, corner, way / DRIVE)
-    return torch.cat([driven, _line(corner, torch.cat([after[:2], before[2:] + turn]),
-                                    float(turn.abs()) / TURN)])  # fmt: skip
+    end = torch.cat([after[:2], before[2:] + turn])
+    turning = _line(corner, end, float(turn.abs()) / TURN)
+    return torch.cat([_line(before, corner, way / DRIVE), turning])
 
 
 def _grasp(
@@ -206,3 +176,90 @@ def _grasp(
     things = thing.expand(len(path), 3).clone()
     things[grasped:, 2] = arm.frames(path[grasped:])[-1][:, 2, 3] - GRASP_HEIGHT
     return all_joints, things
+
+
+def simulated_timeline(skill: Skill, domain: Tabletop, scenario: Scenarios) -> Timeline:
+    """Run a skill on one scenario of a domain in physics and lay out in time what is simulated.
+
+    Steps that move nothing last as long as in the kinematic world.
+    """
+    recorder = Recorder(domain.robot)
+    watched = domain.watched(replace(domain.physics, watch=recorder))
+    execution = execute(skill, watched.world(scenario), ended=recorder.end_step)
+    start = execution.pose[0].double(), execution.object[0].double(), UPRIGHT, recorder.rest
+    last, pieces, contacts = torch.cat(start), list[Tensor](), list[Tensor]()
+    for step, pictures in zip(execution.steps, recorder.steps, strict=True):
+        if not pictures:
+            pictures = [(last, NO_CONTACT)] * _count(seconds_of(step.action))
+        pieces.append(torch.stack([row for row, _ in pictures]))
+        contacts += [points for _, points in pictures]
+        last = pieces[-1][-1]
+    return laid_out(execution, recorder.names, pieces, contacts)
+
+
+class Recorder:
+    """Takes pictures of what is simulated, as `Physics.watch`, step after step of a skill.
+
+    Attributes:
+        names: J joints whose positions are taken: of all arms, then of their fingers but those that
+            follow others.
+        rest: (J,) where arms are at home and grippers open, rad or m.
+        steps: of each step its pictures (10 + J,) with their contacts; none without a simulation.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        """A recorder that has seen nothing."""
+        every = [joint for arm in range(len(robot.arms)) for joint in gripper_joints(robot, arm)]
+        fingers = dict.fromkeys(joint.name for joint in every if joint.mimic is None)
+        held = [robot.description.held.get(name, 0.0) for name in fingers]
+        self.names = (*joint_names(robot), *fingers)
+        self.rest = torch.cat([*robot.home, torch.tensor(held)]).double()
+        self.steps: list[list[tuple[Tensor, Tensor]]] = []
+        self._model: Model | None = None
+        self._taken: list[tuple[Tensor, Tensor]] = []
+        self._before, self._time = 0, 0.0  # pictures before this simulation, and its latest time, s
+
+    def __call__(self, model: Model) -> None:
+        """Take a picture if it is time to."""
+        if model.data.time < self._time:
+            self._before = len(self._taken)
+        self._model, self._time = model, model.data.time
+        if self._time * FPS >= len(self._taken) - self._before:
+            self._taken.append(self._seen(model))
+
+    def end_step(self) -> None:
+        """A step of the skill ends, and so do its pictures."""
+        last = [] if self._model is None else [self._seen(self._model)]
+        self.steps.append([*self._taken, *last])
+        self._model, self._taken, self._before, self._time = None, [], 0, 0.0
+
+    def _seen(self, model: Model) -> tuple[Tensor, Tensor]:
+        """One picture of what is simulated, and its contacts."""
+        at, joints = model.data.qpos, self.rest.clone()
+        for joint in (*model.arm, *model.fingers):
+            joints[self.names.index(joint.name)] = float(at[joint.qpos])
+        thing = torch.tensor(thing_of(model))
+        foot = thing[:3] - model.thing.half_height * _upwards(thing[3:])
+        row = torch.cat([torch.tensor(at[:3].copy()), foot, thing[3:], joints])
+        return row, contacts_of(model)
+
+
+def contacts_of(model: Model) -> Tensor:
+    """(C, 4) points (m) where the robot presses on something, and 1 where it should not, else 0.
+
+    It should press on the object alone, and that with an arm.
+    """
+    contact = model.data.contact
+    if not len(contact.dist):
+        return NO_CONTACT
+    first, second = contact.geom.T
+    touches, meets = model.touching[first, second], model.bumping[first, second]
+    wrong = touches if model.arm else meets
+    pressed = (touches | meets) & (contact.dist < 0)
+    return torch.tensor(numpy.concatenate([contact.pos, wrong[:, None]], 1)[pressed])
+
+
+def _upwards(quaternion: Tensor) -> Tensor:
+    """(3,) the z axis of a body that is turned by a unit quaternion, w first."""
+    w, x, y, z = quaternion
+    return torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])

@@ -2,15 +2,49 @@ from itertools import pairwise
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from support import Visits, custom_actions, nested_actions, random_skill, world
 
 from cgtorch.graphs import ActionSet, Graphs, Skill
 from cgtorch.ground.environment import Lanes
+from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import Detect
-from cgtorch.tabletop.viewer.execution import Step, execute
+from cgtorch.tabletop.viewer.execution import FROM_EDGE, Step, execute, put_object, scenario_of
+from cgtorch.tabletop.world import draw_of
+from cgtorch.tabletop.world.general import DRAWS
+from cgtorch.tabletop.world.geometry import rotate
 
 COUNT = 6
+
+
+@pytest.mark.parametrize("kind", DRAWS)
+def test_scenarios_are_those_that_evaluation_tries(kind: str) -> None:
+    drawn = draw_of(kind)(5, torch.Generator().manual_seed(7))
+    for number in range(5):
+        one = scenario_of(kind, 5, 7, number)
+        assert len(one) == 1
+        for name, value in vars(drawn).items():
+            assert torch.equal(getattr(one, name)[0], value[number]), name
+    with pytest.raises(SettingsError, match="unknown placement 'moon'"):
+        scenario_of("moon", 5, 0, 0)
+
+
+@given(st.integers(0, 9), st.floats(-3, 3), st.floats(-3, 3))
+def test_an_object_stays_on_the_table_wherever_it_is_dragged(n: int, x: float, y: float) -> None:
+    before, at = scenario_of("general", 10, 0, n), torch.tensor([x, y])
+    after = put_object(before, at)
+    table = after.table[0]
+    room = table[3:5] / 2 - FROM_EDGE
+    placed, wanted = (rotate(p - table[:2], -table[2]).abs() for p in (after.object[0], at))
+    assert (placed <= room + 1e-5).all()
+    if (wanted < room).all():
+        torch.testing.assert_close(after.object[0], at, atol=1e-5, rtol=0)
+    for name in vars(before).keys() - {"object"}:
+        assert torch.equal(getattr(after, name), getattr(before, name))
+
+
 KINDS = {
     "flat": lambda seed: random_skill(seed, "flat", custom_actions()),
     "nested": lambda seed: random_skill(seed, "nested", nested_actions(seed), max_transitions=7),

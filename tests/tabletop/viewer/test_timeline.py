@@ -1,3 +1,5 @@
+"""Pictures in time: those of the kinematic world, and those of what is simulated in physics."""
+
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -10,16 +12,22 @@ from cgtorch.graphs import Graphs, Skill
 from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.tabletop.actions import paper_actions
+from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, LIFT, table_slab
 from cgtorch.tabletop.kinematics.touching import touches
+from cgtorch.tabletop.physics import Physics
+from cgtorch.tabletop.physics.grasp import LIFTED
+from cgtorch.tabletop.physics.world import drives, grasps
 from cgtorch.tabletop.viewer.execution import execute
 from cgtorch.tabletop.viewer.timeline import (
     DRIVE,
     FPS,
     SWING,
     TURN,
+    Recorder,
     Timeline,
     joint_names,
+    simulated_timeline,
     timeline_of,
 )
 from cgtorch.tabletop.world import draw_of
@@ -27,6 +35,7 @@ from cgtorch.tabletop.world.geometry import rectangle_in_frame, rotate, wrap
 
 REFERENCE = Path(__file__).parents[3] / "runs" / "reference"
 COUNT = 4
+SCENE = [-0.95, 0.0, 0.0, 0, 0, 0, 0.8, 1.2, 0.74, -0.3, 0.1, 0.79, 1, 0, 0, 0]
 
 
 @cache
@@ -42,47 +51,56 @@ def timeline(number: int) -> Timeline:
     return timeline_of(execution, run.domain.robot)
 
 
-@pytest.mark.parametrize("number", range(COUNT))
-def test_every_step_ends_where_the_world_says(number: int) -> None:
-    one = timeline(number)
+@cache
+def simulated() -> Timeline:
+    run, skill = opened()
+    domain = run.domain.in_world("mujoco")
+    assert isinstance(domain, Tabletop)
+    scenario = draw_of("perimeter")(3, torch.Generator().manual_seed(4))[torch.tensor([1])]
+    one = simulated_timeline(skill, domain, scenario)
+    usual = execute(skill, domain.world(scenario))
+    assert one.execution.end == usual.end == "success"
+    assert torch.equal(one.execution.pose, usual.pose), "being watched changes nothing"
+    return one
+
+
+@pytest.mark.parametrize("number", [*range(COUNT), None])
+def test_every_step_ends_where_the_world_says(number: int | None) -> None:
+    one = simulated() if number is None else timeline(number)
     run = one.execution
-    assert len({len(x) for x in (one.pose, one.joints, one.object, one.step, one.seen)}) == 1
-    for k in range(len(run.steps)):
+    rows = one.pose, one.joints, one.object, one.turned, one.contacts, one.step, one.seen
+    assert {len(x) for x in rows} == {len(one)}
+    for k, step in enumerate(run.steps):
         frames = (one.step == k).nonzero()[:, 0]
         assert one.start_of(k) == int(frames[0])
         away = one.pose[int(frames[-1])] - run.pose[k + 1]
-        assert float(away[:2].norm() + wrap(away[2:]).abs()) < 1e-5
+        if number is not None or step.name != "Grasp":  # in which a simulated base gives way
+            assert float(away[:2].norm() + wrap(away[2:]).abs()) < 1e-5
         assert int(one.seen[int(frames[-1])]) == k + 1
         assert set(one.seen[frames[:-1]].tolist()) <= {k, len(run.steps)}
     assert one.start_of(len(run.steps)) == len(one) - 1
     assert (one.step[1:] >= one.step[:-1]).all()
-    assert torch.equal(one.pose[0, 2:], run.pose[0, 2:])
+    assert torch.equal(one.pose[0, 2:], run.pose[0, 2:]) or number is None
 
 
 @pytest.mark.parametrize("number", range(COUNT))
 def test_nothing_jumps(number: int) -> None:
     one = timeline(number)
-    driven = (one.pose[1:, :2] - one.pose[:-1, :2]).norm(dim=1)
-    turned = wrap(one.pose[1:, 2] - one.pose[:-1, 2]).abs()
+    driven, lifted = one.pose[:, :2].diff(dim=0).norm(dim=1), one.object.diff(dim=0).norm(dim=1)
+    turned = wrap(one.pose[:, 2].diff()).abs()
     assert float(driven.max()) <= 1.5 * DRIVE / FPS
     assert float(turned.max()) <= 1.5 * TURN / FPS
     assert not (driven * turned > 1e-6).any()  # it drives straight, then turns
-    assert float((one.joints[1:] - one.joints[:-1]).abs().max()) <= 1.5 * SWING / FPS
-    lifted = (one.object[1:] - one.object[:-1]).norm(dim=1)
+    assert float(one.joints.diff(dim=0).abs().max()) <= 1.5 * SWING / FPS
     assert float(lifted.max()) <= 0.03
 
 
 def tool_at(one: Timeline, frame: int, which: int) -> Tensor:
     """Where an arm's tool is in the world, by yourdfpy's own kinematics of all joints."""
     robot = opened()[0].domain.robot
-    model = robot.urdf.model
-    words = robot.description
-    model.update_cfg(
-        {
-            words.torso_joint: words.torso_position,
-            **dict(zip(joint_names(robot), one.joints[frame].tolist(), strict=True)),
-        }
-    )
+    model, words = robot.urdf.model, robot.description
+    joints = dict(zip(joint_names(robot), one.joints[frame].tolist(), strict=True))
+    model.update_cfg({words.torso_joint: words.torso_position, **joints})
     at = torch.tensor(model.get_transform(words.arms[which].tool_frame, words.base_frame)[:3, 3])
     x, y, turn = one.pose[frame].double()
     return torch.cat([rotate(at[:2], turn) + torch.stack([x, y]), at[2:]])
@@ -93,9 +111,8 @@ def test_the_arm_really_reaches_and_lifts_the_object(number: int) -> None:
     one = timeline(number)
     assert one.execution.end == "success"
     moved = (one.object[:, 2] > one.object[0, 2] + 1e-4).nonzero()[:, 0]
-    held = [int(moved[0]) - 1, int(moved[len(moved) // 2]), len(one) - 1]
     up = torch.tensor([0.0, 0.0, GRASP_HEIGHT])
-    for frame in held:
+    for frame in (int(moved[0]) - 1, int(moved[len(moved) // 2]), len(one) - 1):
         away = [float((tool_at(one, frame, i) - one.object[frame] - up).norm()) for i in (0, 1)]
         assert min(away) < 0.01, (frame, away)
     assert float(one.object[-1, 2] - one.object[0, 2]) == pytest.approx(LIFT, abs=1e-3)
@@ -110,12 +127,11 @@ def test_the_arms_touch_nothing_on_their_way(number: int) -> None:
     pose, joints = one.pose[last].double(), one.joints[last].double()
     seen = rectangle_in_frame(pose, scene.table[0, :5].double().expand(len(pose), 5))
     slab = table_slab(torch.cat([seen, scene.table[0, 5:].double().expand(len(pose), 1)], 1))
-    first = 0
-    for arm in robot.arms:
-        mine = joints[:, first : first + len(arm.joint_names)]
-        first += len(arm.joint_names)
-        # Ways are looked at in many places, between which there may be a graze.
-        assert not touches(arm, mine, replace(slab, half=slab.half - 0.002), robot.body).any()
+    # Ways are looked at in many places, between which there may be a graze.
+    slab = replace(slab, half=slab.half - 0.002)
+    parts = joints.split([len(arm.joint_names) for arm in robot.arms], 1)
+    for arm, mine in zip(robot.arms, parts, strict=True):
+        assert not touches(arm, mine, slab, robot.body).any()
 
 
 def grasping_on_and_on() -> Skill:
@@ -138,3 +154,56 @@ def test_what_fails_moves_no_arm() -> None:
     one = timeline_of(failed, run.domain.robot)
     assert torch.equal(one.joints, one.joints[:1].expand_as(one.joints))
     assert torch.equal(one.object, one.object[:1].expand_as(one.object))
+
+
+def test_a_grasp_is_seen_as_it_is_simulated() -> None:
+    """The arm leaves home, fingers close on the object, nothing else is met, and it is lifted."""
+    one, robot = simulated(), opened()[0].domain.robot
+    arms = len(joint_names(robot))
+    fingers = one.joints[:, arms:]
+    assert fingers.shape[1] == len(robot.arms)
+    assert float((fingers[0] - fingers[-1]).max()) > 0.05
+    assert float(one.joints[:, :arms].diff(dim=0).abs().max()) <= 3.0 / FPS
+    assert float(one.object[-1, 2] - one.object[0, 2]) > LIFTED
+    touched = torch.cat(one.contacts)
+    assert len(touched)
+    assert not touched[:, 3].any()
+    assert float(touched[:, 2].min()) > 0.7
+
+
+def seen(what: str, *goals: list[float]) -> tuple[Tensor, list[Tensor]]:
+    """The pictures of one step that asks physics for motions or grasps, and their contacts."""
+    robot = opened()[0].domain.robot
+    recorder = Recorder(robot)
+    physics = Physics(robot, watch=recorder)
+    for goal in goals:
+        (drives if what == "drive" else grasps)(physics, torch.tensor([[*SCENE, *goal]]))
+    recorder.end_step()
+    recorder.end_step()
+    pictures, nothing = recorder.steps
+    assert nothing == [], "a step without a simulation has no pictures"
+    return torch.stack([row for row, _ in pictures]), [points for _, points in pictures]
+
+
+def test_an_object_that_is_pushed_falls_over() -> None:
+    """It is seen four centimetres beside where it is, so a finger comes down on it."""
+    rows, _ = seen("grasp", [0.65, 0.1 - 0.04, 0.79])
+    thing, turned = rows[:, 3:6], rows[:, 6:10]
+    assert len(rows) > 5 * FPS
+    assert torch.allclose(turned.norm(dim=1), torch.ones(len(rows)).double(), atol=1e-6)
+    assert float((thing - thing[:1]).norm(dim=1).max()) > 0.03
+    half_turn = (turned[:1] * turned).sum(1).abs().clamp(max=1).arccos()
+    assert 2 * float(half_turn.max()) > 1.0  # rad
+    assert thing[0].tolist() == pytest.approx([-0.3, 0.1, 0.74], abs=1e-3)
+
+
+def test_a_base_that_bumps_is_marked() -> None:
+    """It is sent through the table's block."""
+    rows, contacts = seen("drive", [0.0, 0.0, 0.0])
+    assert torch.cat(contacts)[:, 3].any()
+    assert float(rows[-1, 0]) < -0.5
+
+
+def test_an_action_that_drives_twice_has_all_pictures() -> None:
+    once, twice = [-0.85, 0.0, 0.0], [-1.05, 0.0, 0.0]
+    assert len(seen("drive", once, twice)[0]) > 1.5 * len(seen("drive", once)[0])
