@@ -31,6 +31,10 @@ class RobotError(CgtorchError, ValueError):
     """A URDF or robot description is broken, incomplete or inconsistent."""
 
 
+class CompilerError(CgtorchError, RuntimeError):
+    """Compiled code is needed, and there is neither a C compiler nor a library for this machine."""
+
+
 class DataError(CgtorchError, ValueError):
     """Training data have the wrong shape, too few rows, one class only, or non-finite values."""
 

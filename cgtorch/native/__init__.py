@@ -1,4 +1,4 @@
-"""Compiled code of the hot paths. Without a C compiler, torch computes the same."""
+"""Compiled code of the hot paths. Without a C compiler, torch computes all but arms' kinematics."""
 
 from cgtorch.native.library import NO_PARENT as NO_PARENT
 from cgtorch.native.library import VECTOR as VECTOR
@@ -7,6 +7,7 @@ from cgtorch.native.library import alike as alike
 from cgtorch.native.library import available as available
 from cgtorch.native.library import constants as constants
 from cgtorch.native.library import function as function
+from cgtorch.native.library import required as required
 from cgtorch.native.library import structure as structure
 from cgtorch.native.library import suits as suits
 from cgtorch.native.library import threads as threads

@@ -3,7 +3,7 @@
 A computational graph runs one short step after another, and in C these take a tenth of the time of
 tensor operations (docs/decisions/engine.md). Compilation is optional. Without a compiler, the
 library of the wheel is used if it suits this machine. Without either, or with `CGTORCH_NATIVE=0`,
-everything runs in torch, slower and with other rounding.
+everything but the kinematics of arms runs in torch, slower and with other rounding.
 """
 
 import ctypes
@@ -18,6 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from cgtorch.ground.errors import CompilerError
 from cgtorch.native import compiler
 from cgtorch.native.interface import Interface, agree, interface_of
 
@@ -101,14 +102,32 @@ def use_threads(count: int) -> int:
 _threads = 0
 
 
-@cache
 def library(dtype: torch.dtype) -> Interface | None:
-    """The compiled sources for a type, from the cache or compiled now.
+    """The compiled sources for a type, or None without any or if they are switched off."""
+    return built(dtype) if _switched_on() and dtype in REALS else None
+
+
+def required(dtype: torch.dtype) -> Interface:
+    """The compiled sources for a type, for what has no other way, even with `CGTORCH_NATIVE=0`.
+
+    CompilerError without a C compiler and a wheel.
+    """
+    found = built(dtype)
+    if found is None:
+        raise CompilerError(
+            "the kinematics of arms needs compiled code, and there is none for this machine: "
+            "install a C compiler such as gcc (or name yours by CC), or install cgtorch from a "
+            "wheel for this machine"
+        )
+    return found
+
+
+@cache
+def built(dtype: torch.dtype) -> Interface | None:
+    """The compiled sources for a type of `REALS`, from the cache or compiled now.
 
     ImportError if Python and the library disagree.
     """
-    if not _switched_on() or dtype not in REALS:
-        return None
     loaded = _loaded(REALS[dtype].__name__.removeprefix("c_"))
     if loaded is None:
         return None

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from unittest.mock import patch
 
-from cgtorch.tabletop.kinematics import grasp_lines, rrt_connect, way_search
+from cgtorch.tabletop.kinematics import arm_way, clear_ways, grasp_lines
 from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.inverse_kinematics import PAN_SAMPLES
 
@@ -22,7 +22,7 @@ def finer_search() -> Iterator[None]:
     with (
         patch.object(ArmModel, "candidates", lambda arm, pose: usual(arm, pose, SAMPLES)),
         patch.multiple(grasp_lines, NEAR=64, TRIED=16, PAN_SAMPLES=SAMPLES),
-        patch.object(way_search, "PLANNED", 20),
-        patch.object(rrt_connect, "ROUNDS", 1000),
+        patch.object(arm_way, "PLANNED", 20),
+        patch.object(clear_ways, "ROUNDS", 1000),
     ):
         yield

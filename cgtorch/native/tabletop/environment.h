@@ -1,6 +1,5 @@
 /* The tabletop for rollouts (engine/models.h). */
 #pragma once
-#include "edge.h"
 #include "engine/kinds.h"
 #include "engine/models.h"
 #include "models.h"

@@ -1,10 +1,7 @@
 /* The best grasp for each line of the tool, of arms with a closed form, line after line
-   (cgtorch.tabletop.kinematics.grasp_lines has the same in torch). */
+   (cgtorch.tabletop.kinematics.grasps looks for the same by other arms). */
 #include <stdlib.h>
 
-#include "library.h"
-#include "tabletop/closed_form.h"
-#include "tabletop/touching.h"
 #include "tabletop/ways.h"
 
 #define MOST_POSTURES 4096
@@ -27,9 +24,7 @@ typedef struct {
   int64_t few, sparse;             /* of more postures than a few every so many is tried first */
   double most_step, most_turn;     /* rad or m between places, and between steps */
 } Grasps;
-EXPORT_STRUCT(ClosedForm)
 EXPORT_STRUCT(Grasps)
-EXPORT_CONSTANTS(grasp_limits, MOST_POSTURES, MOST_LINE, FORM_JOINTS)
 
 typedef struct {
   const real *branch;
@@ -67,10 +62,7 @@ static void begin_line(Search *s, int64_t line) {
   const real *path = g->path + line * PLACES * 16, *grasp = path + 2 * 16;
   const real *object = g->ways.object + g->at[line] * 12;
   s->line = line;
-  for (int i = 0; i < PLACES; i++) {
-    real pose[12];
-    product(g->form.before, path + i * 16, pose), product(pose, g->form.after, s->wrist[i]);
-  }
+  for (int i = 0; i < PLACES; i++) wrist_of(&g->form, path + i * 16, s->wrist[i]);
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 4; j++) {
       s->held[i * 4 + j] = 0;
@@ -126,7 +118,7 @@ static int64_t choose(Search *s, int soon) {
 
 /* Whether a posture can follow the places, without touching table or body. */
 static int followed(const Search *s, const Posture *p, real joints[PLACES][FORM_JOINTS]) {
-  static const int ORDER[] = {0, 4, 1, 3}; /* after the grasp, as in torch */
+  static const int ORDER[] = {0, 4, 1, 3}; /* after the grasp */
   const Grasps *g = s->grasps;
   const int64_t row = g->at[s->line];
   for (int i = 0; i < PLACES; i++)

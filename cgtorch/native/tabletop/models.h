@@ -1,4 +1,4 @@
-/* Γ and C for a vector of rows: cgtorch.tabletop.models.{transition,geometry,success,grasp_features}. */
+/* Γ and C for a vector of rows: cgtorch.tabletop.models.{transition,geometry,success}. */
 #pragma once
 #include "svm/rbf.h"
 #include "tabletop.h"
@@ -129,7 +129,7 @@ APART void gamma_vec(const Gamma *g, Layout layout, const vec *p, const vec *u, 
 /* NEAR tanh(x / NEAR). */
 INLINE vec saturated(vec x) { return NEAR * (2 * sigmoid_vec(x * (2 / NEAR)) - 1); }
 
-/* The two edges in front of which the robot is farthest out, `grasp_features.edges`. */
+/* The two edges in front of which the robot is farthest out, `success.edges`. */
 INLINE void edges(const Rectangle *table, const vec *placed, vec *out) {
   vec c = table->c, s = table->s, x = placed[0] - table->x, y = placed[1] - table->y;
   vec nx[4] = {c, -c, -s, s}, ny[4] = {s, -s, c, -c};

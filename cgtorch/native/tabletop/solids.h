@@ -3,7 +3,7 @@
    three-dimensional space", 1988), which needs only the point of a solid that is farthest in a direction. A
    cylinder is a half height and a disc, a capsule a half height and a ball. */
 #pragma once
-#include "tabletop/chain.h"
+#include "tabletop/arm.h"
 
 #define MOST_ROUNDS 40
 #define TOLERANCE (real)1e-5 /* m */
@@ -30,12 +30,8 @@ static inline void farthest(const Solid *s, const real *way, real *out) {
   placed(p, at, out);
 }
 
-/* What is nearest to the origin of a segment, a triangle or a tetrahedron, whose `count` corners
-   become those that span it (Ericson, "Real-time collision detection", 2005, 5.1). */
-static inline void minus(const real *a, const real *b, real *out) {
-  for (int i = 0; i < 3; i++) out[i] = a[i] - b[i];
-}
-
+/* The point nearest to the origin of a segment, a triangle or a tetrahedron, whose corners become those that
+   span it; returns their number (Ericson, "Real-time collision detection", 2005, 5.1). */
 static inline void copied(const real *from, real *to) {
   for (int i = 0; i < 3; i++) to[i] = from[i];
 }

@@ -1,5 +1,5 @@
-/* The tabletop as percepts show it, a vector of rows at once: cgtorch.tabletop.world.{percepts,sweep} and
-   motion_possible. */
+/* The tabletop as percepts show it, a vector of rows at once: cgtorch.tabletop.world.{percepts,clear_motion}
+   and cgtorch.tabletop.edge_networks. */
 #pragma once
 #include "angles.h"
 #include "engine/limits.h"
@@ -56,7 +56,7 @@ INLINE Rectangle table_seen(const vec *p, Layout layout) {
   return table;
 }
 
-/* ---- Whether the base can drive: separating axes of two rectangles, as cgtorch.tabletop.world.sweep ---- */
+/* ---- Whether the base can drive: separating axes of two rectangles, as cgtorch.tabletop.world.clear_motion ---- */
 
 typedef struct {
   real bx, by, hx, hy; /* centre and half sides of the footprint, clearance included */
@@ -124,4 +124,78 @@ INLINE vwhole motion_possible(const vec *p, const vec *u, Layout layout, const B
     rows = clear_of(u, &thing, body, rows);
   }
   return rows;
+}
+
+/* ---- The frame of the edge nearest to the object: cgtorch.tabletop.edge_networks ---- */
+
+#define SCENE 9
+#define NOWHERE 3
+
+typedef struct {
+  vec x, y, yaw, c, s, mirror, extent[4];
+} Edge;
+
+/* The index of the least of four numbers; NaN is the least, as in torch. */
+INLINE vwhole place_of_least(const vec *gaps) {
+  vwhole place = every(0);
+  vec least = gaps[0];
+  for (int i = 1; i < 4; i++) {
+    vwhole less = (gaps[i] < least) | ((gaps[i] != gaps[i]) & (least == least));
+    least = select_vec(less, gaps[i], least);
+    place = select_whole(less, every(i), place);
+  }
+  return place;
+}
+INLINE vec taken(const vec *four, vwhole place) {
+  vec value = four[0];
+  for (int i = 1; i < 4; i++) value = select_vec((place & 3) == i, four[i], value);
+  return value;
+}
+INLINE Edge edge_frame(const vec *p, Layout layout) {
+  Rectangle table = table_seen(p, layout);
+  vec ax, ay, rx, ry, hx = table.sx / 2, hy = table.sy / 2, yaw = vec_of(0), quarters = yaw;
+  turn(p[4] - table.x, p[5] - table.y, table.c, -table.s, &ax, &ay);
+  vec gaps[4] = {hx + ax, hy + ay, hx - ax, hy - ay};
+  vwhole nearest = place_of_least(gaps);
+  EACH(quarters, (real)nearest[i]);
+  if (layout.side) yaw = atan2_vec(p[8], p[7]) / 2;
+  Edge edge = {.x = p[4], .y = p[5], .yaw = wrap(yaw + (real)(PI / 2) * quarters)};
+  sine_cosine(edge.yaw, &edge.s, &edge.c);
+  turn(-p[4], -p[5], edge.c, -edge.s, &rx, &ry);
+  edge.mirror = select_vec(ry < 0, vec_of(-1), vec_of(1));
+  vec right = taken(gaps, nearest + 1), left = taken(gaps, nearest + 3);
+  edge.extent[0] = taken(gaps, nearest);
+  edge.extent[1] = taken(gaps, nearest + 2);
+  edge.extent[2] = select_vec(edge.mirror > 0, left, right);
+  edge.extent[3] = select_vec(edge.mirror > 0, right, left);
+  return edge;
+}
+INLINE void into_edge(const Edge *edge, vec x, vec y, vec *ex, vec *ey) {
+  turn(x - edge->x, y - edge->y, edge->c, -edge->s, ex, ey);
+  *ey *= edge->mirror;
+}
+INLINE void table_scene(const Edge *edge, const vec *p, vec *scene) {
+  into_edge(edge, vec_of(0), vec_of(0), scene, scene + 1);
+  scene[2] = edge->c; /* of the heading, -mirror yaw */
+  scene[3] = -edge->mirror * edge->s;
+  for (int i = 0; i < 4; i++) scene[4 + i] = edge->extent[i];
+  scene[8] = p[6];
+}
+INLINE void obstacle_scene(const Edge *edge, const vec *p, Layout layout, vec *scene) {
+  for (int k = 0; k < layout.boxes; k++) {
+    const vec *box = box_seen(p, layout, k);
+    vec x, y, *out = scene + 3 * k;
+    vwhole seen = there(box);
+    into_edge(edge, (box[0] + box[1]) / 2, (box[2] + box[3]) / 2, &x, &y);
+    out[0] = select_vec(seen, x, vec_of(-NOWHERE));
+    out[1] = select_vec(seen, y, vec_of(0));
+    out[2] = select_vec(seen, ((box[1] - box[0]) + (box[3] - box[2])) / 2 / 2, vec_of(0));
+  }
+}
+INLINE void motion_to(const Edge *edge, const vec *pose, vec *u) {
+  vec wx, wy;
+  turn(pose[0], pose[1] * edge->mirror, edge->c, edge->s, &wx, &wy);
+  u[0] = edge->x + wx;
+  u[1] = edge->y + wy;
+  u[2] = wrap(edge->yaw + pose[2] * edge->mirror);
 }

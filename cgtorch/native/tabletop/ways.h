@@ -7,8 +7,8 @@
 #include "tabletop/solids.h"
 
 #define MOST_JOINTS 16
-#define MOST_SOLIDS 128
-#define MOST_PAIRS 4096
+#define MOST_SOLIDS 256
+#define MOST_PAIRS 16384
 #define MOST_WAYPOINTS 128
 #define MOST_HALVINGS 24
 
@@ -28,10 +28,10 @@ typedef struct {
 typedef struct {
   Scene scene;
   const real *table, *size, *object, *held; /* (K, 3, 4), (K, 5), (K, 3, 4), (K, 3, 4) of each way */
-  const int64_t *kind, *first;              /* (K,) bit of each way; (K + 1,) its first waypoint */
-  const real *q;                            /* (first[K], joints) */
+  const int64_t *kind;                      /* (K,) bit of each way */
+  const real *q;                            /* (K, waypoints, joints) */
   unsigned char *clear;                     /* (K,) */
-  int64_t ways;
+  int64_t ways, waypoints;
 } Ways;
 
 /* A way in its scene: waypoints and how far each joint has gone until there. */

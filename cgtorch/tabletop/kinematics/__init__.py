@@ -5,9 +5,8 @@ from cgtorch.tabletop.kinematics.arm_way import ArmWay as ArmWay
 from cgtorch.tabletop.kinematics.arm_way import arm_ways as arm_ways
 from cgtorch.tabletop.kinematics.arm_way import graspable as graspable
 from cgtorch.tabletop.kinematics.description import load_description as load_description
-from cgtorch.tabletop.kinematics.files import robot_files as robot_files
-from cgtorch.tabletop.kinematics.files import robots_folder as robots_folder
-from cgtorch.tabletop.kinematics.grasping import grasp_solution as grasp_solution
+from cgtorch.tabletop.kinematics.description import robot_files as robot_files
+from cgtorch.tabletop.kinematics.description import robots_folder as robots_folder
 from cgtorch.tabletop.kinematics.grasping import has_posture as has_posture
 from cgtorch.tabletop.kinematics.robot import Robot as Robot
 from cgtorch.tabletop.kinematics.robot import load_robot as load_robot

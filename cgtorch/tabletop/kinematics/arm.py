@@ -1,4 +1,4 @@
-"""One arm with batched forward and inverse kinematics on any device."""
+"""One arm with batched forward and inverse kinematics, its chain read by pytorch-kinematics."""
 
 import math
 from dataclasses import dataclass, field
@@ -9,15 +9,15 @@ import pytorch_kinematics
 import torch
 from torch import Tensor
 
-from cgtorch.tabletop.kinematics.collision import Capsules
 from cgtorch.tabletop.kinematics.inverse_kinematics import (
     PAN_SAMPLES,
     SphericalArm,
     closed_form_candidates,
     closed_form_follow,
+    numerical_candidates,
+    numerical_follow,
 )
-from cgtorch.tabletop.kinematics.numerical_ik import numerical_candidates, numerical_follow
-from cgtorch.tabletop.kinematics.solids import Solids
+from cgtorch.tabletop.kinematics.solids import Capsules, Solids
 
 _CHUNK = 16_384  # rows of forward kinematics at a time: more fall out of the processor's cache
 
@@ -90,10 +90,10 @@ class ArmModel:
         A solution brings the tool frame to the row's pose (B, 4, 4) in the robot's base frame. The
         closed form tries `samples` values of the pan angle.
         """
-        local = torch.linalg.inv(self.mount.to(pose)) @ pose
+        mount = self.mount.to(pose)
         if self.closed_form is not None:
-            return closed_form_candidates(self.closed_form.to(pose), local, samples)
-        return numerical_candidates(*self._search(pose), local)
+            return closed_form_candidates(self.closed_form.to(pose), mount, pose, samples)
+        return numerical_candidates(*self._search(pose), torch.linalg.inv(mount) @ pose)
 
     def follow(self, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Joint positions (M, W, n) at waypoints, in the posture of a solution q (M, n).
@@ -102,10 +102,10 @@ class ArmModel:
         meaningless. The waypoints (M, W, 4, 4) are poses of the tool frame in the robot's base
         frame.
         """
-        local = torch.linalg.inv(self.mount.to(pose)) @ pose
+        mount = self.mount.to(pose)
         if self.closed_form is not None:
-            return closed_form_follow(self.closed_form.to(pose), q, local)
-        return numerical_follow(*self._search(pose), q, local)
+            return closed_form_follow(self.closed_form.to(pose), mount, q, pose)
+        return numerical_follow(*self._search(pose), q, torch.linalg.inv(mount) @ pose)
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
         """(..., n): the distance of each joint from b to a, the shorter way if it is continuous."""
@@ -113,10 +113,14 @@ class ArmModel:
         short = away - math.tau * (away / math.tau).round()
         return torch.where(self.continuous.to(away.device), short, away)
 
-    def _search(self, like: Tensor) -> tuple[Any, Tensor, Tensor]:
-        """The chain and limits (n,) for searches; continuous joints have one turn about zero."""
+    @property
+    def turn_limits(self) -> tuple[Tensor, Tensor]:
+        """Limits (n,) for random postures; continuous joints have one turn about zero."""
         lower = torch.where(self.continuous, -math.pi, self.lower)
-        upper = torch.where(self.continuous, math.pi, self.upper)
+        return lower, torch.where(self.continuous, math.pi, self.upper)
+
+    def _search(self, like: Tensor) -> tuple[Any, Tensor, Tensor]:
+        lower, upper = self.turn_limits
         return self.chain(like)[0], lower.to(like), upper.to(like)
 
 

@@ -1,21 +1,39 @@
 """The way of an arm: from home to an object, up with it, and home again.
 
-A way is a path in joint space, straight between waypoints.
+Many grasps are tried, first with straight ways from home, then with planned ones. A way is a path
+in joint space, straight between waypoints.
 """
 
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from cgtorch.ground.counter_rng import words
-from cgtorch.tabletop.kinematics.clear_ways import ways_clear
-from cgtorch.tabletop.kinematics.grasp_lines import HALF, LINE
-from cgtorch.tabletop.kinematics.grasping import APPROACHES, table_slab
+from cgtorch.tabletop.kinematics.clear_ways import (
+    CARRY,
+    REACH,
+    VIAS,
+    Places,
+    ways_clear,
+    ways_planned,
+)
+from cgtorch.tabletop.kinematics.grasp_lines import HALF, LINE, Grasps, grasps
+from cgtorch.tabletop.kinematics.grasping import (
+    APPROACHES,
+    CHUNK,
+    GRASP_HEIGHT,
+    check_rows,
+    lines_to_try,
+    nth_of_each,
+    table_slab,
+)
 from cgtorch.tabletop.kinematics.robot import Robot
-from cgtorch.tabletop.kinematics.rrt_connect import VIAS, ways_planned
-from cgtorch.tabletop.kinematics.scene import CARRY
-from cgtorch.tabletop.kinematics.way_search import FoundWays, found_ways, places_of, row_keys
+from cgtorch.tabletop.kinematics.solids import Boxes, Tensors
+
+PLANNED = 3
+"""The number of grasps of each object for which a way is planned if none is straight."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +67,30 @@ class ArmWay:
     returns: Tensor
 
 
+@dataclass(frozen=True)
+class _Found(Tensors):
+    """The way of an arm to each object, in parts.
+
+    Attributes:
+        rank: (B,) long, approach · arms + arm; approaches · arms if no way is found.
+        vias: (B, VIAS, n) planned from home to the pre-grasp, both included, rad or m.
+        count: (B,) long, the number of these, 0 if the way is straight.
+        line: (B, LINE, n) from the pre-grasp over the grasp to where the object is lifted.
+        held: (B, 3, 4) pose in the tool frame of the held object.
+    """
+
+    rank: Tensor
+    vias: Tensor
+    count: Tensor
+    line: Tensor
+    held: Tensor
+
+    def fill(self, some: Grasps) -> None:
+        """Enter grasps by an arm of n joints."""
+        self.rank[some.row], self.held[some.row] = some.rank, some.held
+        self.line[some.row, :, : some.line.shape[2]] = some.line
+
+
 def arm_ways(robot: Robot, position: Tensor, table: Tensor, seed: int = 0) -> ArmWay:
     """The way of an arm to each object, and back with it.
 
@@ -61,15 +103,16 @@ def arm_ways(robot: Robot, position: Tensor, table: Tensor, seed: int = 0) -> Ar
 
     Raises:
         RobotError: A shape is wrong, or a value is not finite.
+        CompilerError: There is neither a C compiler nor compiled code for this machine.
     """
-    ways, arms = found_ways(robot, position, table, seed), len(robot.arms)
+    ways, arms = _found_ways(robot, position, table, seed), len(robot.arms)
     found, arm = ways.rank < arms * len(APPROACHES), ways.rank % arms
     n = ways.line.shape[2]
-    home = torch.stack([torch.nn.functional.pad(q, (0, n - len(q))) for q in robot.home])
-    home = home.to(ways.line)[arm]
-    before = torch.where(ways.count > 0, ways.count - 1, 1)
-    index = torch.arange(VIAS - 1 + LINE, device=arm.device).expand(len(arm), -1)
-    vias = torch.where((ways.count > 0)[:, None, None], ways.vias, home[:, None])
+    home = torch.stack([pad(q, (0, n - len(q))) for q in robot.home]).to(ways.line)[arm]
+    planned = ways.count > 0
+    before = torch.where(planned, ways.count - 1, 1)
+    index = torch.arange(VIAS - 1 + LINE).expand(len(arm), -1)
+    vias = torch.where(planned[:, None, None], ways.vias, home[:, None])
     both = torch.cat([vias[:, : VIAS - 1], ways.line], 1)
     lifted = before + LINE - 1
     which = index.minimum(lifted[:, None])
@@ -85,11 +128,11 @@ def arm_ways(robot: Robot, position: Tensor, table: Tensor, seed: int = 0) -> Ar
 
 def graspable(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
     """(B,) whether an arm has a way to each object and up with it; see `arm_ways`."""
-    return found_ways(robot, position, table).rank < len(robot.arms) * len(APPROACHES)
+    return _found_ways(robot, position, table).rank < len(robot.arms) * len(APPROACHES)
 
 
 def _ways_back(
-    robot: Robot, position: Tensor, table: Tensor, ways: FoundWays, home: Tensor, found: Tensor,
+    robot: Robot, position: Tensor, table: Tensor, ways: _Found, home: Tensor, found: Tensor,
     seed: int,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
     """Ways (B, VIAS, n) home with the object, straight if that is clear, and their lengths (B,)."""
@@ -113,3 +156,81 @@ def _ways_back(
         vias = vias[planned].gather(1, last[..., None].expand(-1, -1, n))
         back[left[planned], :, :n], count[left[planned]] = vias, length[planned]
     return back, count
+
+
+def _found_ways(robot: Robot, position: Tensor, table: Tensor, seed: int = 0) -> _Found:
+    """The first approach and arm with a straight way to each object, else the first with any."""
+    check_rows(position, table)
+    table, rows = table.to(position), len(position)
+    n = max(len(arm.joint_names) for arm in robot.arms)
+    ways = _Found(
+        rank=torch.full((rows,), len(robot.arms) * len(APPROACHES)),
+        vias=torch.zeros(rows, VIAS, n, dtype=torch.float64),
+        count=torch.zeros(rows, dtype=torch.long),
+        line=torch.zeros(rows, LINE, n, dtype=torch.float64),
+        held=torch.zeros(rows, 3, 4, dtype=torch.float64),
+    )
+    every = position, table, row_keys(position, table, seed), *vars(ways).values()
+    for position, table, key, *out in zip(*(each.split(CHUNK) for each in every), strict=True):
+        _search(robot, position, table, key, _Found(*out))
+    return ways
+
+
+def row_keys(position: Tensor, table: Tensor, seed: int) -> Tensor:
+    """(B,) long: keys of random numbers for each row, independent of other rows."""
+    key = torch.full((len(position),), seed)
+    for column in torch.cat([position, table], 1).double().view(torch.long).unbind(1):
+        key = words(key ^ column, torch.zeros_like(key))
+    return key
+
+
+def places_of(position: Tensor, slab: Boxes) -> Places:
+    """Places with tables and objects (B, 3); held objects are not filled in."""
+    table = torch.cat([slab.rotation, slab.centre[..., None]], -1)[:, 0]
+    up = position.new_tensor([0.0, 0.0, GRASP_HEIGHT])
+    turn = torch.eye(3).to(position).expand(len(position), 3, 3)
+    upright = torch.cat([turn, (position + up)[..., None]], -1)
+    size = pad(slab.half[:, 0], (0, 2))
+    return Places(*(each.double() for each in (table, size, upright, upright)))
+
+
+def _search(robot: Robot, position: Tensor, table: Tensor, key: Tensor, ways: _Found) -> None:
+    """Fill in the ways of rows, independently of other rows."""
+    slab, body = table_slab(table), robot.body.to(position)
+    places = places_of(position, slab)
+    blocked: list[Grasps] = []
+    for which, lines in lines_to_try(robot, position, table, ways.rank):
+        found = grasps(robot, which, lines, slab, body, places)
+        clear = found[found.straight]
+        ways.fill(clear[nth_of_each(clear.row) == 0])
+        blocked.append(found[~found.straight])
+    if blocked:
+        _plan(robot, places, key, blocked, ways)
+
+
+def _plan(robot: Robot, places: Places, key: Tensor, blocked: list[Grasps], ways: _Found) -> None:
+    """Plan ways to the first few grasps of rows without a straight one."""
+    none = len(robot.arms) * len(APPROACHES)
+    row, rank = (torch.cat([getattr(b, name) for b in blocked]) for name in ("row", "rank"))
+    open_ = (ways.rank[row] == none).nonzero()[:, 0]
+    order = open_[(row[open_] * none + rank[open_]).argsort()]
+    nth = nth_of_each(row[order])
+    for turn in range(PLANNED):
+        todo = torch.zeros(len(row), dtype=torch.bool)
+        todo[order] = (nth == turn) & (ways.rank[row[order]] == none)
+        for some, mine in zip(blocked, todo.split([len(b.row) for b in blocked]), strict=True):
+            if mine.any():
+                _plan_some(robot, places, key, some[mine], ways)
+
+
+def _plan_some(robot: Robot, places: Places, key: Tensor, some: Grasps, ways: _Found) -> None:
+    """Plan ways to grasps (M,) by the same arm."""
+    which, begin = int(some.rank[0]) % len(robot.arms), some.line[:, 0]
+    ends = torch.stack([robot.home[which].to(begin).expand_as(begin), begin], 1)
+    held = replace(places[some.row], held=some.held)
+    keys, kind = words(key[some.row], some.rank), torch.full_like(some.row, REACH)
+    vias, count = ways_planned(robot.arms[which], robot.scenes[which], held, kind, ends, keys)
+    done = count > 0
+    ways.fill(some[done])
+    rows = some.row[done]
+    ways.vias[rows, :, : vias.shape[2]], ways.count[rows] = vias[done], count[done]

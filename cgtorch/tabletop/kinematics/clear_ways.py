@@ -1,28 +1,60 @@
-"""Whether arms are clear of everything on their ways, also between waypoints.
+"""What postures of arms touch, whether ways are clear, and planned ways, in compiled code.
 
-A way is halved until each half is known to be clear. Two solids need no further test if, in the
-middle of a part, they are too far apart for the joints to bring them together before its ends
-(Schwarzer, Saha & Latombe, "Adaptive dynamic collision checking for single and multiple articulated
-robots in complex environments", 2005).
+`native/tabletop/arms.c` computes it, with frames that pytorch-kinematics reads from the URDF.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from cgtorch.native import constants, function, structure, threads
+from cgtorch.ground.errors import RobotError
+from cgtorch.native import required, threads
+from cgtorch.native.interface import agree
 from cgtorch.tabletop.kinematics.arm import ArmModel
-from cgtorch.tabletop.kinematics.collision import Tensors
-from cgtorch.tabletop.kinematics.scene import HELD, OBJECT, TABLE, Scene
-from cgtorch.tabletop.kinematics.solid_distance import distance_of
-from cgtorch.tabletop.kinematics.solids import ball_radius
+from cgtorch.tabletop.kinematics.solids import Boxes, Tensors
 
+TABLE, OBJECT, HELD, OWN = range(4)
+"""The first solids of a scene: the table, the standing object, and the held object. Those of the
+arm begin at `OWN`, followed by fixed ones."""
+REACH, APPROACH, LIFT, CARRY = 1, 2, 4, 8
+"""Kinds of ways: to the pre-grasp, to the grasp, up with the object, and home with it."""
 MARGIN = 0.002  # m that is kept from everything
 RESOLUTION = MARGIN  # m that two solids may come nearer without another look, so that none touch
 COARSE = 0.1  # m: what may come nearer than that is measured in the halves of a way only
-HALVINGS = 24
+SHOULDER_JOINTS = 3
+"""Joint limits keep links that at most this many joints move off the body; only the table can stop
+them."""
+ROUNDS = 100  # of a planner
+STEP = 0.7
+"""The length of a planner's step, by all joints together, rad or m."""
+VIAS = 16
+"""The largest number of waypoints on a planned way, including its ends."""
+
+BISECTIONS, ROUNDING = 8, 1e-5  # of the distance between a capsule and a box
+WORTH_SHARING = 512  # postures that are worth one more thread: about a quarter of a millisecond
+
+
+@dataclass(frozen=True, eq=False)
+class Scene(Tensors):
+    """An arm, and everything that it must keep clear of.
+
+    Attributes:
+        pose, size, radius, frame: (S, ...) of solids, see `Solids`. Those of table and objects
+            differ by row.
+        pairs: (P, 3) long: two solids, of which the first moves, and the kinds of ways on which
+            they must stay apart.
+        reach: (P, n) how much closer a unit of each joint can bring a pair at most, m.
+    """
+
+    pose: Tensor
+    size: Tensor
+    radius: Tensor
+    frame: Tensor
+    pairs: Tensor
+    reach: Tensor
 
 
 @dataclass(frozen=True)
@@ -40,9 +72,17 @@ class Places(Tensors):
     object: Tensor
     held: Tensor
 
-    def __getitem__(self, rows: Tensor) -> "Places":
-        """Some rows."""
-        return Places(*(each[rows] for each in vars(self).values()))
+
+def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
+    """(B,) bool, whether an arm at q (B, n), rad or m, touches its row's table or the body.
+
+    Tables are (B, N, ...), or one for all (1, N, ...); the body is (N, ...).
+    """
+    hit = torch.empty(len(q), dtype=torch.bool)
+    task = touch_task(arm, q, slab, body, hit)
+    shares = max(1, min(threads(), len(q) // WORTH_SHARING))
+    required(q.dtype).functions["arms_touch"](task, shares)
+    return hit
 
 
 def ways_clear(arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: Tensor) -> Tensor:
@@ -52,105 +92,93 @@ def ways_clear(arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: 
         arm: The arm.
         scene: Its scene.
         places: (B,) the parts of the scene that differ by row.
-        kind: (B,) long, the kinds of ways, such as `scene.REACH`.
+        kind: (B,) long, the kinds of ways, such as `REACH`.
         ways: (B, W, n) waypoints, between which the joints move in straight lines, rad or m.
     """
-    places, ways = places.to(ways.double()), ways.double()
-    task = ways_task(arm, scene, places, kind, ways)
-    if task is None:
-        return ways_clear_in_torch(arm, scene, places, kind, ways)
-    task.made = torch.empty(len(ways), dtype=torch.bool)
-    task.clear = task.made.data_ptr()
-    function("ways_clear", torch.float64)(task, max(1, min(threads(), len(ways) // 4)))
-    made: Tensor = task.made
-    return made
-
-
-def ways_task(
-    arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: Tensor
-) -> Any | None:
-    """The input of compiled code, without its output; None if it is not supported."""
-    most = constants("way_limits", torch.float64)
-    chain, n, count = arm.chain(ways)[1], ways.shape[2], ways.shape[1]
-    sizes = {
-        "MOST_FRAMES": len(chain.kind), "MOST_JOINTS": n, "MOST_SOLIDS": len(scene.size),
-        "MOST_PAIRS": len(scene.pairs), "MOST_WAYPOINTS": count,
-    }  # fmt: skip
-    if not most or not ways.is_cpu or any(size > most[name] for name, size in sizes.items()):
-        return None
-    made = structure("Chain", torch.float64)(**vars(chain), frames=len(chain.kind), joints=n)
-    fixed = structure("Scene", torch.float64)(
-        chain=made, **vars(scene), solids=len(scene.size), count=len(scene.pairs), margin=MARGIN,
-        resolution=RESOLUTION, coarse=COARSE,
-    )  # fmt: skip
-    return structure("Ways", torch.float64)(
-        scene=fixed, table=places.table, size=places.table_size, object=places.object,
-        held=places.held, kind=kind, first=count * torch.arange(len(ways) + 1), q=ways, clear=None,
-        ways=len(ways),
-    )  # fmt: skip
-
-
-def ways_clear_in_torch(
-    arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: Tensor
-) -> Tensor:
-    """The same as `ways_clear` on any device, with all intervals of all ways halved together."""
-    scene = scene.to(ways)
-    steps = (ways[:, 1:] - ways[:, :-1]).abs().cumsum(1)
-    gone = torch.cat([torch.zeros_like(ways[:, :1]), steps], 1)
-    clear = torch.ones(len(ways), dtype=torch.bool, device=ways.device)
-    row, pair = (scene.pairs[:, 2] & kind[:, None] > 0).nonzero(as_tuple=True)
-    begin = torch.zeros(len(row), dtype=ways.dtype, device=ways.device)
-    end = begin + ways.shape[1] - 1
-    for halving in range(HALVINGS + 1):
-        at = (begin + end) / 2
-        here = _at(gone, row, at)
-        travel = torch.maximum(here - _at(gone, row, begin), _at(gone, row, end) - here)
-        nearer = (scene.reach[pair] * travel).sum(1)
-        solids = _placed(arm, scene, places, ways, row, pair, at)
-        gap = _ball_distance(*solids)
-        near = (gap < MARGIN + nearer) & (nearer <= COARSE)
-        gap[near] = distance_of(*(each[near] for each in solids))
-        clear[row[near & (gap < MARGIN)]] = False
-        left = clear[row] & (gap < MARGIN + nearer) & (nearer > RESOLUTION)
-        if halving == HALVINGS or not left.any():
-            break
-        row, pair, begin, at, end = (x[left] for x in (row, pair, begin, at, end))
-        row, pair = row.repeat(2), pair.repeat(2)
-        begin, end = torch.cat([begin, at]), torch.cat([at, end])
+    ways, clear = ways.double(), torch.empty(len(ways), dtype=torch.bool)
+    task = ways_task(arm, scene, places.to(ways), kind, ways, clear)
+    shares = max(1, min(threads(), len(ways) // 4))
+    required(torch.float64).functions["ways_clear"](task, shares)
     return clear
 
 
-def _at(rows: Tensor, row: Tensor, at: Tensor) -> Tensor:
-    """(M, n) linear interpolation between rows (B, W, n)."""
-    first = at.long().clamp_max(max(rows.shape[1] - 2, 0))
-    second = (first + 1).clamp_max(rows.shape[1] - 1)
-    share = (at - first)[:, None]
-    return rows[row, first] + share * (rows[row, second] - rows[row, first])
+def ways_planned(
+    arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ends: Tensor, key: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Ways (B, VIAS, n) between postures, and their numbers of waypoints (B,), 0 if none is found.
+
+    Args:
+        arm: The arm.
+        scene: Its scene.
+        places: (B,) the parts of the scene that differ by row.
+        kind: (B,) long, the kinds of ways, such as `REACH`.
+        ends: (B, 2, n) where each way begins and ends, rad or m.
+        key: (B,) long, of the random numbers of each row.
+    """
+    ends, library = ends.double(), required(torch.float64)
+    agree(library.constants["plan_limits"], {"MOST_VIAS": VIAS})
+    found = ends.new_zeros(len(ends), VIAS, ends.shape[2])
+    count = torch.zeros(len(ends), dtype=torch.long)
+    # Random postures are within limits; of a continuous joint, half a turn beyond both ends.
+    low = torch.where(arm.continuous, ends.amin(1) - math.pi, arm.lower)
+    high = torch.where(arm.continuous, ends.amax(1) + math.pi, arm.upper)
+    plans = library.structures["Plans"](
+        ways=ways_task(arm, scene, places.to(ends), kind, ends), lower=low, upper=high, key=key,
+        found=found, count=count, rounds=ROUNDS, step=STEP,
+    )  # fmt: skip
+    if library.functions["ways_planned"](plans, max(1, min(threads(), len(ends)))):
+        raise MemoryError("no memory to plan ways of arms; give the process more")
+    return found, count
 
 
-def _placed(
-    arm: ArmModel, scene: Scene, places: Places, ways: Tensor, row: Tensor, pair: Tensor, at: Tensor
-) -> list[Tensor]:
-    """Poses (M, 3, 4) and sizes (M, 5) of both solids of pairs at places of ways."""
-    moments, which = torch.unique(torch.stack([row.to(at), at], 1), dim=0, return_inverse=True)
-    where = moments[:, 0].long()
-    frames = arm.frames(_at(ways, where, moments[:, 1]))[:, which]
-    solids: list[Tensor] = []
-    for solid in scene.pairs[pair, :2].unbind(1):
-        pose, size, frame = scene.pose[solid].clone(), scene.size[solid].clone(), scene.frame[solid]
-        own = {TABLE: places.table, OBJECT: places.object, HELD: places.held}
-        for number, of_rows in own.items():
-            is_it = solid == number
-            pose[is_it] = of_rows[row[is_it]]
-        size[solid == TABLE] = places.table_size[row[solid == TABLE]]
-        carrier = frames[frame, torch.arange(len(frame), device=frame.device)]
-        moved = carrier[:, :3, :3] @ pose
-        moved[..., 3] += carrier[:, :3, 3]
-        solids += [torch.where((frame >= 0)[:, None, None], moved, pose), size]
-    return solids
+def touch_task(
+    arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes, hit: Tensor | None = None
+) -> Any:
+    """The arguments of `touches`, and its output, for compiled code."""
+    capsules, several = arm.capsules.to(q), required(q.dtype).structures["Boxes"]
+    count = len(capsules.radius)
+    _check_size(arm, q, {"MOST_CAPSULES": count})
+    return required(q.dtype).structures["Arms"](
+        chain=_chain(arm, q), q=q, start=capsules.start, end=capsules.end, radius=capsules.radius,
+        frame=capsules.frame, loose=capsules.joints > SHOULDER_JOINTS, hit=hit,
+        table=several(**vars(slab), count=slab.half.shape[-2], same=len(slab.half) == 1),
+        body=several(**vars(body), count=body.half.shape[-2], same=True),
+        postures=len(q), capsules=count, bisections=BISECTIONS, rounding=ROUNDING,
+    )  # fmt: skip
 
 
-def _ball_distance(pose: Tensor, size: Tensor, other_pose: Tensor, other_size: Tensor) -> Tensor:
-    """(M,) the distance between the balls around solids, m."""
-    apart = (pose[..., 3] - other_pose[..., 3]).norm(dim=1)
-    return apart - ball_radius(size) - ball_radius(other_size)
+def ways_task(
+    arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: Tensor,
+    clear: Tensor | None = None,
+) -> Any:  # fmt: skip
+    """The arguments of `ways_clear`, in double precision, and its output, for compiled code."""
+    structures, solids, count = required(ways.dtype).structures, len(scene.size), len(scene.pairs)
+    sizes = {"MOST_SOLIDS": solids, "MOST_PAIRS": count, "MOST_WAYPOINTS": ways.shape[1]}
+    _check_size(arm, ways, sizes)
+    fixed = structures["Scene"](
+        chain=_chain(arm, ways), **vars(scene), solids=solids, count=count, margin=MARGIN,
+        resolution=RESOLUTION, coarse=COARSE,
+    )  # fmt: skip
+    return structures["Ways"](
+        scene=fixed, table=places.table, size=places.table_size, object=places.object,
+        held=places.held, kind=kind, q=ways, clear=clear, ways=len(ways), waypoints=ways.shape[1],
+    )  # fmt: skip
+
+
+def _chain(arm: ArmModel, like: Tensor) -> Any:
+    table, joints = arm.chain(like)[1], len(arm.joint_names)
+    frames = len(table.kind)
+    _check_size(arm, like, {"MOST_FRAMES": frames, "MOST_JOINTS": joints})
+    return required(like.dtype).structures["Chain"](**vars(table), frames=frames, joints=joints)
+
+
+def _check_size(arm: ArmModel, like: Tensor, sizes: dict[str, int]) -> None:
+    """RobotError if an arm has more of something than compiled code takes."""
+    limits = required(like.dtype).constants["arm_limits"]
+    for name, size in sizes.items():
+        if size > limits[name]:
+            what = name.removeprefix("MOST_").lower()
+            raise RobotError(
+                f"arm {arm.name!r} has {size} {what}, of which its checks take {limits[name]}: "
+                "give it fewer links, or fewer collision shapes"
+            )

@@ -12,8 +12,7 @@ from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.description import Capsule
-from cgtorch.tabletop.kinematics.meshes import read_mesh
-from cgtorch.tabletop.kinematics.packages import file_named
+from cgtorch.tabletop.kinematics.meshes import file_named, read_mesh
 from cgtorch.tabletop.kinematics.shapes import Array, Fit, Shape, capsule, fitted
 from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf
 

@@ -1,31 +1,39 @@
 """The best grasp for each line of the tool: along the line to the object, and up with it.
 
 The arm postures nearest to home are tested closely: whether the arm is clear along the line, and on
-the straight way from home to its beginning.
+the straight way from home to its beginning. Arms with a closed form are searched in
+`native/tabletop/grasps.c`, line after line; for others, all lines are searched at once.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from cgtorch.native import constants, function, structure, suits, threads
+from cgtorch.native import required, threads
 from cgtorch.tabletop.kinematics.arm import ArmModel
-from cgtorch.tabletop.kinematics.clear_ways import Places, ways_clear, ways_task
-from cgtorch.tabletop.kinematics.collision import Boxes, Tensors
+from cgtorch.tabletop.kinematics.clear_ways import (
+    APPROACH,
+    LIFT,
+    REACH,
+    Places,
+    Scene,
+    touch_task,
+    ways_clear,
+    ways_task,
+)
 from cgtorch.tabletop.kinematics.grasping import (
     FEW,
     MAX_STEP,
     SPARSE,
-    first_of_each,
+    Lines,
     followed,
+    nth_of_each,
     postures_in_turn,
 )
-from cgtorch.tabletop.kinematics.inverse_kinematics import PAN_SAMPLES, pan_grid
+from cgtorch.tabletop.kinematics.inverse_kinematics import PAN_SAMPLES, SphericalArm, form_structure
 from cgtorch.tabletop.kinematics.robot import Robot
-from cgtorch.tabletop.kinematics.scene import APPROACH, LIFT, REACH, Scene
-from cgtorch.tabletop.kinematics.touching import touch_task
+from cgtorch.tabletop.kinematics.solids import Boxes, Tensors
 
 LINE = 41
 """Waypoints from the pre-grasp over the grasp to where the object is lifted, 5 mm apart."""
@@ -38,21 +46,6 @@ NEAR, TRIED = 12, 6
 and of these, the number whose ways are tested."""
 WORTH_SHARING = 64  # lines that are worth one more thread
 STRAIGHT = 2  # what compiled code says of lines with a straight way from home; 0 where there's none
-
-
-@dataclass(frozen=True)
-class Lines(Tensors):
-    """Lines of the tool to objects, and up with them.
-
-    Attributes:
-        path: (M, 5, 4, 4) waypoints of the tool; see `waypoints`.
-        row: (M,) long, ascending, the object of each line.
-        rank: (M,) long, approach and arm of each line; see `FoundWays`.
-    """
-
-    path: Tensor
-    row: Tensor
-    rank: Tensor
 
 
 @dataclass(frozen=True)
@@ -69,10 +62,6 @@ class Grasps(Tensors):
     line: Tensor
     held: Tensor
 
-    def __getitem__(self, which: Tensor) -> "Grasps":
-        """Some of the grasps."""
-        return Grasps(*(each[which] for each in vars(self).values()))
-
 
 def grasps(
     robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
@@ -81,16 +70,16 @@ def grasps(
 
     Tables and places are (B, ...) of objects; `which` is the arm's index.
     """
-    found = _grasps_compiled(robot, which, lines, slab, body, places)
-    if found is None:
-        return grasps_in_torch(robot, which, lines, slab, body, places)
-    return found
+    form = robot.arms[which].closed_form
+    if form is None:
+        return grasps_of_any_arm(robot, which, lines, slab, body, places)
+    return _grasps_in_closed_form(form, robot, which, lines, slab, body, places)
 
 
-def grasps_in_torch(
+def grasps_of_any_arm(
     robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
 ) -> Grasps:
-    """The same as `grasps` on any device, with all lines at once, posture after posture."""
+    """The same as `grasps` for any arm, with all lines at once, posture after posture."""
     arm, scene, path = robot.arms[which], robot.scenes[which], lines.path
     home = robot.home[which].to(path.device).double()
     solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
@@ -110,7 +99,7 @@ def grasps_in_torch(
             solved[row] = straight
     row, straight, line = (torch.cat(each) for each in zip(*found, strict=True))
     order = (2 * row + ~straight).argsort(stable=True)
-    best = order[first_of_each(row[order])]
+    best = order[nth_of_each(row[order]) == 0]
     row = row[best]
     held = _held(places[lines.row[row]], path[row, 2]).held
     return Grasps(lines.row[row], lines.rank[row], straight[best], line[best], held)
@@ -130,11 +119,6 @@ def _near_home(arm: ArmModel, row: Tensor, joints: Tensor, home: Tensor) -> tupl
     order = order[row[order].argsort(stable=True)]
     order = order[nth_of_each(row[order]) < NEAR]
     return row[order], joints[order]
-
-
-def nth_of_each(row: Tensor) -> Tensor:
-    """(M,) the number of earlier entries with the same value in ascending rows (M,)."""
-    return torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
 
 
 def _along(
@@ -169,55 +153,32 @@ def _all(kind: int, like: Tensor) -> Tensor:
     return torch.full_like(like, kind)
 
 
-def _grasps_compiled(
-    robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
-) -> Grasps | None:
-    """The same compiled, line after line, with no more postures than needed; else None.
-
-    It uses double precision and needs arms with a closed form.
-    """
-    if not (suits(lines.path) and constants("grasp_limits", torch.float64)):
-        return None
-    task = _task(robot.arms[which], robot.scenes[which], lines, slab, body, places)
-    if task is None:
-        return None
-    home, count = robot.home[which].double(), len(lines.path)
+def _grasps_in_closed_form(
+    form: SphericalArm,
+    robot: Robot,
+    which: int,
+    lines: Lines,
+    slab: Boxes,
+    body: Boxes,
+    places: Places,
+) -> Grasps:
+    """The same in double precision, with no more postures than needed."""
+    arm, scene, library = robot.arms[which], robot.scenes[which], required(torch.float64)
+    home, count, like = robot.home[which].double(), len(lines.path), places.table
+    none = like.new_empty(0, LINE, len(home))
     line, held = home.new_empty(count, LINE, len(home)), home.new_empty(count, 3, 4)
     state = torch.empty(count, dtype=torch.long)
-    call = structure("Grasps", torch.float64)(
-        **task, home=home, at=lines.row, line=line, held=held, state=state, lines=count,
+    task = library.structures["Grasps"](
+        ways=ways_task(arm, scene, places, lines.row[:0], none),
+        arms=touch_task(arm, none[:, 0], slab.to(like), body.to(like)),
+        form=form_structure(form, arm.mount, PAN_SAMPLES), path=lines.path.to(like), home=home,
+        at=lines.row, continuous=arm.continuous, line=line, held=held, state=state, lines=count,
         steps=LINE, near=NEAR, tried=TRIED, few=FEW, sparse=SPARSE, most_step=MAX_STEP,
         most_turn=MAX_TURN,
     )  # fmt: skip
     shared = max(1, min(threads(), count // WORTH_SHARING))
-    if function("grasps_found", torch.float64)(call, shared):
+    if library.functions["grasps_found"](task, shared):
         raise MemoryError("no memory to look for grasps; give the process more")
     kept = state.nonzero()[:, 0]
     straight = state[kept] == STRAIGHT
     return Grasps(lines.row[kept], lines.rank[kept], straight, line[kept], held[kept])
-
-
-def _task(
-    arm: ArmModel, scene: Scene, lines: Lines, slab: Boxes, body: Boxes, places: Places
-) -> dict[str, Any] | None:
-    """The structures of compiled code for an arm; None if they are not supported."""
-    form, like, most = arm.closed_form, places.table, constants("grasp_limits", torch.float64)
-    none = like.new_empty(0, LINE, len(arm.joint_names))
-    ways = ways_task(arm, scene, places, lines.row[:0], none)
-    arms = touch_task(arm, none[:, 0], slab.to(like), body.to(like))
-    if form is None or ways is None or arms is None:
-        return None
-    if PAN_SAMPLES * len(form.branches) > most["MOST_POSTURES"]:
-        return None
-    before, after = torch.linalg.inv(arm.mount @ form.base), torch.linalg.inv(form.tool)
-    (least, greatest), pans = form.elbow_cosines, pan_grid(form, PAN_SAMPLES)
-    closed = structure("ClosedForm", torch.float64)(
-        before=before, after=after, shoulder=form.shoulder, signs=form.signs, lower=form.lower,
-        upper=form.upper, branches=form.branches, pans=pans, count=len(form.branches),
-        samples=len(pans), upper_arm=form.upper_arm, forearm=form.forearm, least=least,
-        most=greatest,
-    )  # fmt: skip
-    path = lines.path.to(like)
-    return {
-        "ways": ways, "arms": arms, "form": closed, "path": path, "continuous": arm.continuous,
-    }  # fmt: skip

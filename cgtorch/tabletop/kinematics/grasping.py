@@ -15,9 +15,9 @@ from torch import Tensor
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.arm import ArmModel
-from cgtorch.tabletop.kinematics.collision import Boxes
+from cgtorch.tabletop.kinematics.clear_ways import touches
 from cgtorch.tabletop.kinematics.robot import Robot
-from cgtorch.tabletop.kinematics.touching import touches
+from cgtorch.tabletop.kinematics.solids import Boxes, Tensors
 from cgtorch.tabletop.world.geometry import box_rectangle, rectangles_overlap
 
 GRASP_HEIGHT = 0.05  # m above the table top: the middle of an object 0.10 m high
@@ -47,109 +47,81 @@ slanted, twelve from the side."""
 
 
 @dataclass(frozen=True)
-class GraspSolution:
-    """How each object is grasped.
+class Lines(Tensors):
+    """Lines of the tool to objects, and up with them.
 
     Attributes:
-        found: (B,) whether there is a grasp; if not, all other values of the row are meaningless.
-        arm: (B,) index into the robot's arms.
-        approach: (B,) index into `APPROACHES`.
-        joints: (B, 5, n) joint positions at pre-grasp, half-way, grasp, half-way up and lifted, in
-            the order of the arm's joints. n is the largest number of joints of any arm, and missing
-            joints are 0.
+        path: (M, 5, 4, 4) waypoints of the tool; see `waypoints`.
+        row: (M,) long, ascending, the object of each line.
+        rank: (M,) long, approach · arms + arm of each line.
     """
 
-    found: Tensor
-    arm: Tensor
-    approach: Tensor
-    joints: Tensor
+    path: Tensor
+    row: Tensor
+    rank: Tensor
 
 
 def has_posture(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
-    """(B,) whether an arm has a posture at each object, however it gets there.
+    """(B,) whether an arm has a suitable posture at each object, however it gets there.
 
-    See `grasp_solution`.
-    """
-    return grasp_solution(robot, position, table).found
-
-
-def grasp_solution(robot: Robot, position: Tensor, table: Tensor) -> GraspSolution:
-    """How objects can be grasped: the first suitable approach and arm.
-
-    Args:
-        robot: The robot.
-        position: (B, 3) objects on the table in the base frame, at the height of its top, m.
-        table: (B, 6) centre x, centre y, yaw, size x, size y, height of the top, in the base frame,
-            m and rad.
-
-    Raises:
-        RobotError: A shape is wrong, or a value is not finite.
+    For arguments and errors see `arm_ways`.
     """
     check_rows(position, table)
-    table, arms = table.to(position), len(robot.arms)
-    widest = max(len(arm.joint_names) for arm in robot.arms)
-    joints = position.new_zeros(len(position), 5, widest)
-    rank = torch.full_like(position[:, 0], arms * len(APPROACHES), dtype=torch.long)
-    parts = (each.split(CHUNK) for each in (position, table, rank, joints))
-    for part in zip(*parts, strict=True):
-        _grasp(robot, *part)
-    return GraspSolution(rank < arms * len(APPROACHES), rank % arms, rank // arms, joints)
+    table = table.to(position)
+    none = len(robot.arms) * len(APPROACHES)
+    rank = torch.full((len(position),), none, device=position.device)
+    for part in zip(*(each.split(CHUNK) for each in (position, table, rank)), strict=True):
+        slab, body = table_slab(part[1]), robot.body.to(position)
+        for which, lines in lines_to_try(robot, *part):
+            solved = _has_posture(robot.arms[which], lines.path, slab[lines.row], body)
+            part[2][lines.row[solved]] = lines.rank[solved]
+    return rank < none
 
 
 def check_rows(position: Tensor, table: Tensor) -> None:
-    """RobotError if objects or tables have a wrong shape or a value that is not finite."""
+    """RobotError unless objects and tables have the right shapes, and finite values on the CPU."""
     for what, value, width in (("position", position, 3), ("table", table, 6)):
         if value.ndim != 2 or value.shape[1] != width or len(value) != len(position):
             raise RobotError(
                 f"{what} has the shape {tuple(value.shape)}: give (B, {width}), "
                 "as many rows of both"
             )
+        if not value.is_cpu:
+            raise RobotError(f"{what} is on {value.device}: move it to the CPU, where arms are")
         if not bool(torch.isfinite(value).all()):
             raise RobotError(f"{what} has a value that is not finite: give finite numbers")
 
 
-def _grasp(robot: Robot, position: Tensor, table: Tensor, rank: Tensor, joints: Tensor) -> None:
-    """Fill in the first suitable approach and arm of each row, independently of other rows."""
-    slab, body = table_slab(table), robot.body.to(position)
+def lines_to_try(
+    robot: Robot, position: Tensor, table: Tensor, rank: Tensor
+) -> Iterator[tuple[int, Lines]]:
+    """Lines of arms, by index, to objects whose rank (B,) they would lower, first approaches first.
+
+    The caller lowers the rank of each object that a line solves, which is then not tried again.
+    """
     approaches, arms = position.new_tensor(APPROACHES), len(robot.arms)
     possible = ~standing_in_table(robot, table) & within_reach(robot, position)
-    open_rows = possible.nonzero().squeeze(1)
-    start = 0
+    open_rows, start = possible.nonzero().squeeze(1), 0
     while start < len(APPROACHES) and len(open_rows):
-        group = next_approaches(start, open_rows)
-        start += len(group)
-        for which, arm in enumerate(robot.arms):
+        # The more approaches at once, the fewer rows there are.
+        count = max(1, _GROUP // len(open_rows))
+        group = torch.arange(start, min(start + count, len(APPROACHES)), device=rank.device)
+        start += count
+        for which in range(arms):
             order = group * arms + which
             row, column = (order < rank[open_rows, None]).nonzero(as_tuple=True)
             at = open_rows[row]
             path = waypoints(position[at], *approaches[group[column]].unbind(1))
-            solved, found = _try(arm, path, slab[at], body)
-            first = first_of_each(row[solved])
-            solved, done = solved[first], at[solved[first]]
-            rank[done] = order[column[solved]]
-            joints[done] = torch.nn.functional.pad(
-                found[first], (0, joints.shape[-1] - found.shape[-1])
-            )
+            yield which, Lines(path, at, order[column])
         open_rows = open_rows[rank[open_rows] == arms * len(APPROACHES)]
 
 
-def next_approaches(start: int, rows: Tensor) -> Tensor:
-    """(G,) the approaches from `start` on to try at once: more for fewer rows (B,)."""
-    group = torch.arange(start, len(APPROACHES), device=rows.device)
-    return group[: max(1, _GROUP // len(rows))]
-
-
-def _try(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> tuple[Tensor, Tensor]:
-    """Rows (R,), ascending, whose waypoints (B, 5, 4, 4) an arm can follow; joints (R, 5, n)."""
+def _has_posture(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> Tensor:
+    """(M,) whether an arm can follow waypoints (M, 5, 4, 4) without changing posture."""
     solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
-    joints = path.new_zeros(len(path), path.shape[1], len(arm.joint_names))
     for row, q in postures_in_turn(arm, path, solved):
-        at, found = followed(arm, path, slab, body, row, q)
-        first = first_of_each(at)
-        solved[at[first]] = True
-        joints[at[first]] = found[first]
-    rows = solved.nonzero().squeeze(1)
-    return rows, joints[rows]
+        solved[followed(arm, path, slab, body, row, q)[0]] = True
+    return solved
 
 
 def postures_in_turn(
@@ -160,7 +132,7 @@ def postures_in_turn(
     First come some of each row, then all others of rows that are not `solved` (B,) by then.
     """
     row, q = arm.candidates(path[:, 2])
-    nth = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
+    nth = nth_of_each(row)
     few = torch.bincount(row, minlength=len(path))[row] <= FEW
     soon = few | (nth % SPARSE == 0)
     for part in (soon, ~soon):
@@ -185,11 +157,9 @@ def followed(
     return row, joints
 
 
-def first_of_each(row: Tensor) -> Tensor:
-    """(M,) whether each of ascending rows is the first with its value."""
-    first = torch.ones_like(row, dtype=torch.bool)
-    first[1:] = row[1:] != row[:-1]
-    return first
+def nth_of_each(row: Tensor) -> Tensor:
+    """(M,) the number of earlier entries with the same value in ascending rows (M,)."""
+    return torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
 
 
 def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float) -> Tensor:

@@ -1,11 +1,9 @@
-"""Inverse kinematics in closed form for arms with a spherical wrist.
+"""Inverse kinematics: in closed form for arms with a spherical wrist, else by damped least squares.
 
-It fits every arm whose seven joints turn about z, y, x, y, x, y, x (pan, lift, roll, elbow flex,
-forearm roll, wrist flex, wrist roll), with the upper arm and the forearm along x: the PR2, the
-Fetch and similar ones. The arm has one joint more than a pose needs. Given the pan angle, the other
-six follow exactly, in a few branches (elbow up or down, shoulder rolled or not, wrist flipped or
-not), of which the joint limits leave two on the PR2. So the pan angle is searched on a grid, and
-everything else is algebra.
+The closed form fits arms whose seven joints turn about z, y, x, y, x, y, x (pan, lift, roll, elbow
+flex, forearm roll, wrist flex, wrist roll), with upper arm and forearm along x, as the PR2 and the
+Fetch have. Given the pan angle, which is searched on a grid, the other six follow exactly in a few
+branches (native/tabletop/arm.h). Other arms use the Jacobian of pytorch-kinematics.
 """
 
 import itertools
@@ -16,11 +14,20 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.tabletop.kinematics.collision import Tensors
+from cgtorch.native import required, threads
+from cgtorch.tabletop.kinematics.solids import Tensors
 
 PAN_SAMPLES = 48
+WORTH_SHARING = 256  # poses that are worth one more thread
 _AXES = (2, 1, 0, 1, 0, 1, 0)
 _TOLERANCE = 1e-6
+
+SEEDS, STARTS, ITERATIONS = 4096, 6, 40
+DAMPING = 1e-2
+POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-4, 1e-3
+_STEP = 0.5
+_POSES = 1024  # solved at a time
+_ROTATION_WEIGHT = 0.3
 
 
 @dataclass(frozen=True)
@@ -136,125 +143,129 @@ def pan_grid(arm: SphericalArm, samples: int) -> Tensor:
     return torch.linspace(lower, upper, samples, dtype=arm.lower.dtype, device=arm.lower.device)
 
 
-def closed_form_candidates(arm: SphericalArm, pose: Tensor, samples: int) -> tuple[Tensor, Tensor]:
-    """Like `ArmModel.candidates`, for poses (B, 4, 4) of the tool frame in the arm's base link."""
-    wrist, rotation = _wrist(arm, pose)
-    pan = pan_grid(arm, samples)
-    elbow = _cos_elbow(arm, *_from_shoulder(arm, wrist[:, None], pan))
-    least, most = arm.elbow_cosines
-    row, sample = ((elbow >= least) & (elbow <= most)).nonzero(as_tuple=True)
-    q, sound = _solve(arm, arm.branches, wrist[row], rotation[row], pan[sample])
-    which, branch = sound.nonzero(as_tuple=True)
-    return row[which], q[which, branch]
+def form_structure(form: SphericalArm, mount: Tensor, samples: int = PAN_SAMPLES) -> Any:
+    """A closed form, on an arm mounted at a pose (4, 4), for compiled code."""
+    (least, most), pans = form.elbow_cosines, pan_grid(form, samples)
+    return required(mount.dtype).structures["ClosedForm"](
+        before=torch.linalg.inv(mount @ form.base), after=torch.linalg.inv(form.tool),
+        shoulder=form.shoulder, signs=form.signs, lower=form.lower, upper=form.upper,
+        branches=form.branches, pans=pans, count=len(form.branches), samples=samples,
+        upper_arm=form.upper_arm, forearm=form.forearm, least=least, most=most,
+    )  # fmt: skip
 
 
-def closed_form_follow(arm: SphericalArm, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-    """Like `ArmModel.follow`, in the branch and at the pan angle of q, in the arm's base link."""
-    angle = q * arm.signs
-    signs = torch.stack([angle[:, 3].sin(), angle[:, 2].cos(), angle[:, 5].sin()], dim=-1)
-    branch = (signs[:, None] * arm.branches > 0).sum(-1).argmax(dim=1)
-    wrist, rotation = _wrist(arm, pose)
-    pan = angle[:, :1].expand(pose.shape[:2])
-    path, sound = _solve(arm, arm.branches[branch][:, None, None], wrist, rotation, pan)
-    return path.squeeze(2), sound.squeeze(2)
-
-
-def _wrist(arm: SphericalArm, pose: Tensor) -> tuple[Tensor, Tensor]:
-    """Position (..., 3) and rotation (..., 3, 3) of the wrist's last frame in the pan frame."""
-    last = torch.linalg.inv(arm.base) @ pose @ torch.linalg.inv(arm.tool)
-    return last[..., :3, 3], last[..., :3, :3]
-
-
-def _from_shoulder(arm: SphericalArm, wrist: Tensor, pan: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The wrist's centre seen from the lift axis, in the turned pan frame."""
-    cos, sin = pan.cos(), pan.sin()
-    x = cos * wrist[..., 0] + sin * wrist[..., 1] - arm.shoulder[0]
-    y = cos * wrist[..., 1] - sin * wrist[..., 0] - arm.shoulder[1]
-    return x, y, (wrist[..., 2] - arm.shoulder[2]).expand_as(x)
-
-
-def _cos_elbow(arm: SphericalArm, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
-    """The law of cosines in the triangle of shoulder, elbow and wrist."""
-    a, b = arm.upper_arm, arm.forearm
-    return (x * x + y * y + z * z - (a * a + b * b)) / (2 * a * b)
-
-
-def _solve(
-    arm: SphericalArm, branches: Tensor, wrist: Tensor, rotation: Tensor, pan: Tensor
+def closed_form_candidates(
+    form: SphericalArm, mount: Tensor, pose: Tensor, samples: int
 ) -> tuple[Tensor, Tensor]:
-    """Joint angles (..., S, 7) at pan angles (...) in branches (..., S, 3), and which are valid.
+    """Like `ArmModel.candidates`, for a form and an arm mounted at a pose (4, 4)."""
+    count = len(form.branches)
+    pan = pan_grid(form, samples).repeat_interleave(count).expand(len(pose), -1)
+    branch = torch.arange(count).repeat(samples).expand(len(pose), -1)
+    q, reached = _solutions(form, mount, pose, pan, branch)
+    row, which = reached.nonzero(as_tuple=True)
+    return row, q[row, which]
 
-    The wrist's centre (..., 3) and the rotation (..., 3, 3) of its last frame are in the pan frame.
+
+def closed_form_follow(
+    form: SphericalArm, mount: Tensor, q: Tensor, pose: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Like `ArmModel.follow`, in the branch and at the pan angle of q (M, 7)."""
+    angle, steps = q * form.signs, pose.shape[1]
+    signs = torch.stack([angle[:, 3].sin(), angle[:, 2].cos(), angle[:, 5].sin()], dim=-1)
+    branch = (signs[:, None] * form.branches > 0).sum(-1).argmax(dim=1)
+    each = (x.repeat_interleave(steps)[:, None] for x in (angle[:, 0], branch))
+    path, reached = _solutions(form, mount, pose.flatten(0, 1), *each)
+    return path.view(len(q), steps, len(_AXES)), reached.view(len(q), steps)
+
+
+def _solutions(
+    form: SphericalArm, mount: Tensor, pose: Tensor, pan: Tensor, branch: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Joints (N, T, 7) that reach poses (N, 4, 4) at pans and in branches (N, T), and which do."""
+    library, (rows, tries) = required(pose.dtype), pan.shape
+    q, reached = pose.new_zeros(rows, tries, len(_AXES)), torch.empty(rows, tries, dtype=torch.bool)
+    task = library.structures["Solutions"](
+        form=form_structure(form, mount), pose=pose, pan=pan, branch=branch, q=q, reached=reached,
+        poses=rows, tries=tries,
+    )  # fmt: skip
+    library.functions["arm_solutions"](task, max(1, min(threads(), rows // WORTH_SHARING)))
+    return q, reached
+
+
+def numerical_candidates(
+    chain: Any, lower: Tensor, upper: Tensor, pose: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Like `ArmModel.candidates`, refined from the nearest of many sampled postures.
+
+    Limits are (n,), rad or m; poses (B, 4, 4) are in the arm's base link.
     """
-    elbow_sign, roll_sign, wrist_sign = branches.unbind(-1)
-    x, y, z = (value[..., None] for value in _from_shoulder(arm, wrist, pan))
-    cos1, sin1 = pan.cos()[..., None], pan.sin()[..., None]
-
-    # Elbow: the triangle's third side. With the elbow bent the forearm leaves the upper arm's
-    # line by (along, drop); the shoulder's roll and lift then turn that onto the wrist.
-    cos4 = _cos_elbow(arm, x, y, z)
-    sound = cos4.abs() <= 1
-    cos4 = cos4.clamp(-1, 1)
-    sin4 = elbow_sign * (1 - cos4 * cos4).sqrt()
-    along = arm.upper_arm + arm.forearm * cos4
-    drop = -arm.forearm * sin4
-
-    # Roll: it alone gives the sideways part y. Lift: the turn left over in the x-z plane.
-    sin3 = -y / drop
-    sound = sound & (sin3.abs() <= 1)
-    sin3 = sin3.clamp(-1, 1)
-    cos3 = roll_sign * (1 - sin3 * sin3).sqrt()
-    down = cos3 * drop
-    cos2, sin2 = along * x + down * z, down * x - along * z
-    length = (cos2 * cos2 + sin2 * sin2).sqrt()
-    sound = sound & (length > 0)
-    cos2, sin2 = cos2 / length, sin2 / length
-
-    # Wrist: what rotation is left, as forearm roll (x), flex (y) and wrist roll (x). Its first
-    # column is the tool's direction seen from the forearm and gives the first two. Undone, they
-    # leave a second column that gives the last. So the three fit one another even where the wrist
-    # is straight, and only the sum of the rolls is determined.
-    turns = (cos1, sin1), (cos2, sin2), (cos3, sin3), (cos4, sin4)
-    dx, dy, dz = _seen_from_forearm(rotation[..., :, 0], *turns)
-    ex, ey, ez = _seen_from_forearm(rotation[..., :, 1], *turns)
-    away = (dy * dy + dz * dz).sqrt()
-    straight = away < 1e-9
-    cos5 = torch.where(straight, 1.0, -wrist_sign * dz / away)
-    sin5 = torch.where(straight, 0.0, wrist_sign * dy / away)
-    sin6 = wrist_sign * away
-    ey, ez = _turned(cos5, -sin5, ey, ez)
-    sin7 = sin6 * ex + dx * ez
-
-    angles = [
-        pan[..., None].expand_as(sin6),
-        torch.atan2(sin2, cos2),
-        torch.atan2(sin3, cos3),
-        torch.atan2(sin4, cos4),
-        torch.atan2(sin5, cos5),
-        torch.atan2(sin6, dx),
-        torch.atan2(sin7, ey),
-    ]
-    q = torch.stack([angle.expand_as(sin6) for angle in angles], dim=-1)
-    middle = (arm.lower + arm.upper) / 2
-    q = q + math.tau * ((middle - q) / math.tau).round()
-    within = (q >= arm.lower - _TOLERANCE) & (q <= arm.upper + _TOLERANCE)
-    return q * arm.signs, sound & within.all(dim=-1)
+    generator = torch.Generator().manual_seed(0)
+    spread = torch.rand(SEEDS, len(lower), generator=generator, dtype=torch.float64).to(lower)
+    seeds = lower + (upper - lower) * spread
+    reached = chain.forward_kinematics(seeds, end_only=True).get_matrix()
+    every = torch.arange(len(pose), device=pose.device)
+    rows, solutions = [], []
+    for part, row in zip(pose.split(_POSES), every.split(_POSES), strict=True):
+        away = torch.cdist(_key(part), _key(reached))
+        nearest = away.topk(STARTS, largest=False).indices
+        target = part.repeat_interleave(STARTS, dim=0)
+        q, converged = _refine(chain, lower, upper, seeds[nearest.flatten()], target)
+        rows.append(row.repeat_interleave(STARTS)[converged])
+        solutions.append(q[converged])
+    return torch.cat(rows), torch.cat(solutions)
 
 
-def _seen_from_forearm(column: Tensor, *turns: tuple[Tensor, Tensor]) -> tuple[Tensor, ...]:
-    """The parts of a direction (..., 3) in the pan frame, in the forearm's.
-
-    The turns are cosine and sine of the pan, the lift, the shoulder's roll and the elbow.
-    """
-    (cos1, sin1), (cos2, sin2), (cos3, sin3), (cos4, sin4) = turns
-    x, y, z = (column[..., i, None] for i in range(3))
-    x, y = _turned(cos1, -sin1, x, y)
-    x, z = _turned(cos2, sin2, x, z)
-    y, z = _turned(cos3, -sin3, y, z)
-    x, z = _turned(cos4, sin4, x, z)
-    return x, y, z
+def _key(pose: Tensor) -> Tensor:
+    """(B, 12): poses as points, whose distances weigh position against rotation."""
+    return torch.cat([pose[:, :3, 3], _ROTATION_WEIGHT * pose[:, :3, :3].flatten(1)], dim=1)
 
 
-def _turned(cos: Tensor, sin: Tensor, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """Two coordinates after a turn from the first to the second."""
-    return cos * a - sin * b, sin * a + cos * b
+def numerical_follow(
+    chain: Any, lower: Tensor, upper: Tensor, q: Tensor, pose: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Like `ArmModel.follow`, with each waypoint refined from q; see `numerical_candidates`."""
+    count, steps = pose.shape[:2]
+    start = q.repeat_interleave(steps, dim=0)
+    path, converged = _refine(chain, lower, upper, start, pose.reshape(-1, 4, 4))
+    return path.reshape(count, steps, len(lower)), converged.reshape(count, steps)
+
+
+def _refine(
+    chain: Any, lower: Tensor, upper: Tensor, q: Tensor, pose: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Joint positions (B, n) within limits, refined from q (B, n), and which reach poses (B,)."""
+    q = q.clone()
+    converged = torch.zeros(len(q), dtype=torch.bool, device=q.device)
+    active = torch.arange(len(q), device=q.device)
+    for iteration in range(ITERATIONS + 1):
+        if not len(active):
+            break
+        jacobian, reached = chain.jacobian(q[active], ret_eef_pose=True)
+        error = _error(reached, pose[active])
+        done = (error[:, :3].norm(dim=1) < POSITION_TOLERANCE) & (
+            error[:, 3:].norm(dim=1) < ROTATION_TOLERANCE
+        )
+        converged[active[done]] = True
+        active, jacobian, error = active[~done], jacobian[~done], error[~done]
+        if iteration == ITERATIONS:
+            break
+        damping = (DAMPING * error.norm(dim=1)).clamp_max(DAMPING)[:, None, None]
+        eye = torch.eye(6, dtype=q.dtype, device=q.device)
+        square = jacobian @ jacobian.transpose(1, 2) + (damping + 1e-7) * eye
+        step = (jacobian.transpose(1, 2) @ torch.linalg.solve(square, error[..., None])).squeeze(-1)
+        longest = step.abs().amax(dim=1, keepdim=True)
+        step = step * (_STEP / longest.clamp_min(_STEP))
+        q[active] = torch.maximum(torch.minimum(q[active] + step, upper), lower)
+    return q, converged
+
+
+def _error(reached: Tensor, wanted: Tensor) -> Tensor:
+    """(B, 6): the remaining translation (m) and rotation (rotation vector), in the base frame."""
+    turn = wanted[:, :3, :3] @ reached[:, :3, :3].transpose(1, 2)
+    twist = (turn - turn.transpose(1, 2)) / 2
+    skew = torch.stack([twist[:, 2, 1], twist[:, 0, 2], twist[:, 1, 0]], dim=1)
+    sine = skew.norm(dim=1)
+    cosine = (turn.diagonal(dim1=1, dim2=2).sum(-1) - 1) / 2
+    angle = torch.atan2(sine, cosine)
+    scale = torch.where(sine > 1e-6, angle / sine.clamp_min(1e-6), torch.ones_like(sine))
+    return torch.cat([wanted[:, :3, 3] - reached[:, :3, 3], skew * scale[:, None]], dim=1)

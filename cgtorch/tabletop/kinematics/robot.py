@@ -13,21 +13,28 @@ from torch import Tensor
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.arm import ArmModel, built_chain
-from cgtorch.tabletop.kinematics.collision import Boxes, Capsules, box_of, capsules_of
-from cgtorch.tabletop.kinematics.description import Arm, RobotDescription, load_description
-from cgtorch.tabletop.kinematics.files import robot_files
+from cgtorch.tabletop.kinematics.clear_ways import Scene
+from cgtorch.tabletop.kinematics.description import (
+    Arm,
+    RobotDescription,
+    load_description,
+    robot_files,
+)
 from cgtorch.tabletop.kinematics.fitted import MeshFit, without_meshes
-from cgtorch.tabletop.kinematics.home import home_postures
 from cgtorch.tabletop.kinematics.inverse_kinematics import spherical_arm
-from cgtorch.tabletop.kinematics.packages import package_places
-from cgtorch.tabletop.kinematics.scene import Scene
-from cgtorch.tabletop.kinematics.scene_pairs import scene_of
+from cgtorch.tabletop.kinematics.meshes import package_places
+from cgtorch.tabletop.kinematics.scene import home_postures, scene_of
 from cgtorch.tabletop.kinematics.solids import (
+    Boxes,
+    Capsules,
     Solids,
+    box_of,
     boxes_as_solids,
+    capsules_of,
     solid_of,
     solid_of_capsule,
     solids_of,
+    stacked,
     with_boxed_hand,
 )
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, load_urdf
@@ -240,8 +247,8 @@ def _capsules(
     return Capsules(
         frame=torch.tensor([row[0] for row in rows], dtype=torch.long),
         joints=torch.tensor([row[1] for row in rows], dtype=torch.long),
-        start=_stacked([row[2] for row in rows], 3),
-        end=_stacked([row[3] for row in rows], 3),
+        start=stacked([row[2] for row in rows], 3),
+        end=stacked([row[3] for row in rows], 3),
         radius=torch.tensor([row[4] for row in rows], dtype=torch.float64),
     )
 
@@ -294,10 +301,5 @@ def _body(urdf: Urdf, words: RobotDescription, arm_joints: set[str]) -> Boxes:
             pose, half = box_of(collision, f"link {name!r}")
             poses.append(link @ pose)
             halves.append(half)
-    pose = _stacked(poses, 4, 4)
-    return Boxes(pose[:, :3, 3], pose[:, :3, :3], _stacked(halves, 3))
-
-
-def _stacked(tensors: list[Tensor], *shape: int) -> Tensor:
-    """Tensors of a shape as one (k, *shape), also for k = 0."""
-    return torch.stack(tensors) if tensors else torch.zeros(0, *shape, dtype=torch.float64)
+    pose = stacked(poses, 4, 4)
+    return Boxes(pose[:, :3, 3], pose[:, :3, :3], stacked(halves, 3))

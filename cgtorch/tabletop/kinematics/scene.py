@@ -1,35 +1,208 @@
-"""What an arm must keep clear of on its way: table, object, body, other arms, and itself."""
+"""What an arm must keep clear of on its way, and its home posture, where every way begins."""
 
-from dataclasses import dataclass
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import replace
 
+import torch
 from torch import Tensor
 
-from cgtorch.tabletop.kinematics.collision import Tensors
+from cgtorch.tabletop.kinematics.arm import ArmModel
+from cgtorch.tabletop.kinematics.clear_ways import (
+    APPROACH,
+    CARRY,
+    HELD,
+    LIFT,
+    MARGIN,
+    OBJECT,
+    OWN,
+    REACH,
+    SHOULDER_JOINTS,
+    TABLE,
+    Places,
+    Scene,
+    ways_clear,
+)
+from cgtorch.tabletop.kinematics.solids import Boxes, Solids, boxes_as_solids
 
-TABLE, OBJECT, HELD, OWN = range(4)
-"""The first solids of a scene: the table, the standing object, and the held object. Those of the
-arm begin at `OWN`, followed by fixed ones."""
-REACH, APPROACH, LIFT, CARRY = 1, 2, 4, 8
-"""Kinds of ways: to the pre-grasp, to the grasp, up with the object, and home with it."""
 ALWAYS = REACH | APPROACH | LIFT | CARRY
 OBJECT_RADIUS, OBJECT_HALF = 0.025, 0.05  # m, of the upright cylinder that an object is taken for
+SPREAD = 200
+"""The number of random postures that show which solids overlap by design."""
+BUILT_IN = 0.25
+"""Solids that touch in more than this share of them overlap by design."""
+BITS = 62
+
+SAMPLES, TRIED = 16_384, 2048  # random postures for home, and how many of them are looked at
+CENTRE = 0.01  # m: an arm whose shoulder is nearer to the middle than this has no side of its own
+ABOVE = 1.0  # m: what is beyond the footprint stays above tables
+BELOW_COSTS = 4.0
+"""The cost of being beyond the footprint and low, or on the other arm's side, relative to being far
+beyond the footprint."""
 
 
-@dataclass(frozen=True, eq=False)
-class Scene(Tensors):
-    """An arm, and everything that it must keep clear of.
+def scene_of(arm: ArmModel, body: Solids, others: Solids) -> Scene:
+    """The scene of an arm, given the robot's body and the other arms at home, in the base frame."""
+    n, tool = len(arm.joint_names), len(arm.chain(arm.lower)[1].kind) - 1
+    size = arm.lower.new_tensor([[0, 0, OBJECT_HALF, OBJECT_RADIUS, 0]]).expand(OWN, 5)
+    own = Solids(
+        pose=torch.eye(4, dtype=size.dtype)[:3].expand(OWN, 3, 4),
+        size=size,
+        frame=torch.tensor([-1, -1, tool]),
+        joints=torch.tensor([0, 0, n]),
+    )
+    every = own.joined(arm.solids, body, others)
+    pairs = _pairs(arm.solids.joints.tolist(), len(body), others.joints.tolist(), n)
+    carried = torch.where(every.frame >= 0, every.joints, 0)  # the joints that move each solid
+    apart = [(first, int(carried[second])) for first, second, _ in pairs.tolist()]
+    reaches = {each: _reach(arm, every, *each) for each in dict.fromkeys(apart)}
+    reach = torch.stack([reaches[each] for each in apart])
+    scene = Scene(every.pose, every.size, every.radius, every.frame, pairs, reach)
+    kept = ~_built_in(arm, scene) & _near_enough(arm, scene)
+    return replace(scene, pairs=pairs[kept], reach=reach[kept])
 
-    Attributes:
-        pose, size, radius, frame: (S, ...) of solids, see `Solids`. Those of table and objects
-            differ by row.
-        pairs: (P, 3) long: two solids, of which the first moves, and the kinds of ways on which
-            they must stay apart.
-        reach: (P, n) how much closer a unit of each joint can bring a pair at most, m.
+
+def _pairs(own: list[int], body: int, others: list[int], n: int) -> Tensor:
+    """(P, 3) pairs of solids that may meet, given how many joints move those of the arms.
+
+    The gripper, which all joints move, may touch the object from the approach on. The object is on
+    the table until it is lifted. Neighbouring links touch by design, and joint limits keep
+    shoulders off the body.
     """
+    arm = {OWN + i: joints for i, joints in enumerate(own)}
+    torso = range(OWN + len(arm), OWN + len(arm) + body)
+    beside = {OWN + len(arm) + body + i: joints for i, joints in enumerate(others)}
+    pairs = [(HELD, TABLE, CARRY), *((HELD, k, LIFT | CARRY) for k in (*torso, *beside))]
+    for i, joints in arm.items():
+        loose = joints > SHOULDER_JOINTS
+        pairs.append((i, TABLE, ALWAYS))
+        pairs.append((i, OBJECT, REACH if joints == n else REACH | APPROACH))
+        if joints < n:
+            pairs.append((HELD, i, LIFT | CARRY))
+        pairs.extend((i, k, ALWAYS) for k in torso if loose)
+        pairs.extend((i, k, ALWAYS) for k, far in beside.items() if loose or far > SHOULDER_JOINTS)
+    pairs.extend((i, k, ALWAYS) for i, k in itertools.permutations(arm, 2) if arm[i] > arm[k] + 1)
+    return torch.tensor(pairs)
 
-    pose: Tensor
-    size: Tensor
-    radius: Tensor
-    frame: Tensor
-    pairs: Tensor
-    reach: Tensor
+
+def _built_in(arm: ArmModel, scene: Scene) -> Tensor:
+    """(P,) whether solids of the robot touch in most postures."""
+    found = torch.zeros(len(scene.pairs), dtype=torch.bool)
+    q = random_postures(arm, SPREAD)
+    robot = (scene.pairs[:, :2] >= OWN).all(1).nonzero()[:, 0]
+    for some in robot.split(BITS):
+        bit = 1 << torch.arange(len(some))
+        pairs = torch.cat([scene.pairs[some, :2], bit[:, None]], 1)
+        alone = replace(scene, pairs=pairs, reach=scene.reach[some])
+        kind = bit.repeat_interleave(SPREAD)
+        clear = _clear_of_nothing_else(arm, alone, kind, q.repeat(len(some), 1))
+        found[some] = clear.view(len(some), SPREAD).double().mean(1) < 1 - BUILT_IN
+    return found
+
+
+def _clear_of_nothing_else(arm: ArmModel, scene: Scene, kind: Tensor, q: Tensor) -> Tensor:
+    """(B,) whether postures (B, n) are clear for kinds (B,), with neither table nor object."""
+    far, rows = torch.eye(3, 4, dtype=torch.float64)[None], torch.zeros_like(kind)
+    nothing = Places(far, scene.size[TABLE : TABLE + 1], far, far)
+    return ways_clear(arm, scene, nothing[rows], kind, q[:, None])
+
+
+def _near_enough(arm: ArmModel, scene: Scene) -> Tensor:
+    """(P,) whether an arm is long enough for pairs to meet, by distance from its first joint."""
+    chain, b = arm.chain(arm.lower)[1], scene.pairs[:, 1]
+    first = int((chain.kind > 0).nonzero()[0, 0])
+    still = (b >= OWN) & (scene.frame[b] < 0) & (chain.kind[first] == 1)
+    joint = arm.frames(arm.lower[None])[first, 0, :3, 3]
+    away = (scene.pose[b, :, 3] - joint).norm(dim=1) - scene.radius[b]
+    return ~still | (away <= scene.reach[:, 0] + MARGIN)
+
+
+def random_postures(arm: ArmModel, count: int) -> Tensor:
+    """(count, n) random postures within limits, rad or m, always the same."""
+    generator = torch.Generator().manual_seed(0)
+    low, high = arm.turn_limits
+    share = torch.rand(count, len(low), generator=generator, dtype=low.dtype)
+    return low + share * (high - low)
+
+
+def _reach(arm: ArmModel, solids: Solids, which: int, base: int) -> Tensor:
+    """(n,) the largest distance of a solid's points from the axis of each joint that moves it.
+
+    The first `base` joints do not count, as they move another solid, too. At every revolute joint,
+    the links beyond it are assumed to be in one line, with prismatic joints extended. It is 1 for a
+    prismatic joint.
+    """
+    chain = arm.chain(arm.lower)[1]
+    reach = arm.lower.new_zeros(len(arm.joint_names))
+    # Points that no joint so far moves against each other, and how far others are from them.
+    points, far = _corners(solids, which), float(solids.size[which, 4])
+    if which == HELD:  # which is turned about the tool frame's origin as its grasp has it
+        points, far = points.new_zeros(1, 3), float(solids.radius[which])
+    for frame in range(int(solids.frame[which]), -1, -1):
+        joint, kind, offset = int(chain.joint[frame]), int(chain.kind[frame]), chain.offset[frame]
+        if kind and joint >= base:
+            axis = chain.axis[frame].expand_as(points)
+            off = torch.linalg.cross(axis, points).norm(dim=1).max()
+            reach[joint] = float(off) + far if kind == 1 else 1.0
+        if kind:
+            far += float(points.norm(dim=1).max())
+            points = points.new_zeros(1, 3)
+        if kind == 2:
+            far += max(abs(float(arm.lower[joint])), abs(float(arm.upper[joint])))
+        points = points @ offset[:, :3].T + offset[:, 3]
+    return reach
+
+
+def _corners(solids: Solids, which: int) -> Tensor:
+    """(8, 3) corners of the box about a solid without its ball, in the solid's frame."""
+    disc = solids.size[which, 3] * solids.size.new_tensor([1.0, 1.0, 0.0])
+    signs = torch.tensor(list(itertools.product((1.0, -1.0), repeat=3))).to(disc)
+    pose = solids.pose[which]
+    return signs * (solids.size[which, :3] + disc) @ pose[:, :3].T + pose[:, 3]
+
+
+def home_postures(
+    arms: tuple[ArmModel, ...],
+    body: Boxes,
+    footprint: tuple[float, float, float, float],
+    named: Mapping[str, float],
+) -> tuple[Tensor, ...]:
+    """A posture (n,) of each arm, rad or m: as the description names it, or else computed."""
+    if named:
+        return tuple(_named(arm, named) for arm in arms)
+    return tuple(_computed(arm, body, footprint) for arm in arms)
+
+
+def _named(arm: ArmModel, named: Mapping[str, float]) -> Tensor:
+    zero = torch.zeros_like(arm.lower).clamp(arm.lower, arm.upper)
+    given = [named.get(name, float(at)) for name, at in zip(arm.joint_names, zero, strict=True)]
+    return torch.tensor(given, dtype=arm.lower.dtype)
+
+
+def _computed(arm: ArmModel, body: Boxes, footprint: tuple[float, float, float, float]) -> Tensor:
+    """The best of many random postures: raised, near the body, and clear of it.
+
+    A hand below the height of tables would first have to come up past their edges.
+    """
+    q = random_postures(arm, SAMPLES)
+    frames = arm.frames(q)
+    start, end = arm.capsules.to(q).placed(frames)
+    points, radius = torch.cat([start, end], 1), arm.capsules.radius.repeat(2)
+    x_min, x_max, y_min, y_max = footprint
+    corner = points.new_tensor([[x_max, y_max], [x_min, y_min]])
+    beyond = torch.maximum(points[..., :2] - corner[0], corner[1] - points[..., :2])
+    beyond = (beyond.amax(-1) + radius).clamp_min(0)
+    below = (ABOVE + radius - points[..., 2]).clamp_min(0)
+    under = torch.minimum(beyond, below).amax(1)
+    hand = arm.capsules.joints.repeat(2) > len(arm.lower) / 2
+    shoulder = float(frames[1, 0, 1, 3])  # y of the first joint; an arm may hang from the middle
+    side = math.copysign(1.0, shoulder) if abs(shoulder) > CENTRE else 0
+    crossed = (radius - side * points[..., 1]).clamp_min(0).amax(1) if side else 0.0
+    cost = beyond.amax(1) + below[:, hand].amax(1) + BELOW_COSTS * (under + crossed)
+    best = q[cost.argsort()[:TRIED]]
+    scene = scene_of(arm, boxes_as_solids(body), boxes_as_solids(body[:0]))
+    robot = (scene.pairs[:, :2] >= OWN).all(1)
+    alone = replace(scene, pairs=scene.pairs[robot], reach=scene.reach[robot])
+    kind = torch.full((len(best),), REACH)
+    return best[int(_clear_of_nothing_else(arm, alone, kind, best).long().argmax())]

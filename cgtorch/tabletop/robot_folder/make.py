@@ -11,10 +11,9 @@ import torch
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import whole_folder, write_bytes, write_json
 from cgtorch.tabletop.kinematics import Robot, graspable, load_robot
-from cgtorch.tabletop.kinematics.description import RobotDescription
-from cgtorch.tabletop.kinematics.files import DESCRIPTION
+from cgtorch.tabletop.kinematics.description import DESCRIPTION, RobotDescription
 from cgtorch.tabletop.kinematics.fitted import MeshFit, without_meshes
-from cgtorch.tabletop.kinematics.packages import package_places
+from cgtorch.tabletop.kinematics.meshes import package_places
 from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf, read_urdf
 from cgtorch.tabletop.robot_folder.inertials import sound_inertials
 from cgtorch.tabletop.robot_folder.picture import robot_picture

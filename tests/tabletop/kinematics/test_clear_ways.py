@@ -1,4 +1,4 @@
-"""Ways that are clear, compiled and in torch, and planned where they are not."""
+"""Ways that are clear, against another distance of the solids, and planned where they are not."""
 
 from dataclasses import replace
 
@@ -7,14 +7,29 @@ import torch
 from test_grasping import random_scene
 
 from cgtorch import native
-from cgtorch.tabletop.kinematics import clear_ways, rrt_connect
-from cgtorch.tabletop.kinematics.clear_ways import MARGIN, ways_clear, ways_clear_in_torch
+from cgtorch.ground.errors import CompilerError, RobotError
+from cgtorch.native import library
+from cgtorch.tabletop.kinematics import arm_ways, graspable, has_posture
+from cgtorch.tabletop.kinematics.arm_way import places_of, row_keys
+from cgtorch.tabletop.kinematics.clear_ways import (
+    APPROACH,
+    CARRY,
+    HELD,
+    LIFT,
+    MARGIN,
+    OBJECT,
+    OWN,
+    REACH,
+    TABLE,
+    VIAS,
+    ways_clear,
+    ways_planned,
+)
 from cgtorch.tabletop.kinematics.grasping import table_slab
-from cgtorch.tabletop.kinematics.rrt_connect import VIAS, planned_in_torch, ways_planned
-from cgtorch.tabletop.kinematics.scene import HELD, OBJECT, OWN, REACH, TABLE
-from cgtorch.tabletop.kinematics.way_search import places_of, row_keys
+from cgtorch.tabletop.kinematics.solids import fixed_solids
 
 ROWS = 60
+NEAR = 0.03  # m
 
 
 def asked(robot, arm, random_joints, generator, rows=ROWS, joints=3):
@@ -30,22 +45,61 @@ def asked(robot, arm, random_joints, generator, rows=ROWS, joints=3):
     return arm, robot.scenes[which], places, torch.full((rows,), REACH), ways
 
 
-@pytest.mark.parametrize("kind", [1, 2, 4, 8])
-def test_compiled_ways_are_clear_where_they_are_in_torch(
-    robot_and_arm, random_joints, generator, kind, monkeypatch
-):
-    """Up to a hundredth of a millimetre, by which the margin is made smaller and larger."""
-    arm, scene, places, kinds, ways = asked(*robot_and_arm, random_joints, generator)
-    kinds = torch.full_like(kinds, kind)
-    found = ways_clear(arm, scene, places, kinds, ways)
-    said = []
-    for margin in (MARGIN - 2e-5, MARGIN + 2e-5):
-        monkeypatch.setattr(clear_ways, "MARGIN", margin)
-        said.append(ways_clear_in_torch(arm, scene, places, kinds, ways))
-    less, more = said
-    assert 0.02 < found.double().mean() < 0.98
-    assert torch.equal(found & less, found)
-    assert torch.equal(found | more, found)
+def farthest(pose, size, way):
+    """(M, 3) the points of solids (M, 3, 4), (M, 5) without their balls farthest in directions."""
+    local = (way[:, None] @ pose[..., :3]).squeeze(1)
+    at = torch.where(local < 0, -size[:, :3], size[:, :3])
+    flat = local[:, :2] / local[:, :2].norm(dim=1, keepdim=True).clamp_min(1e-30)
+    at = at + torch.nn.functional.pad(size[:, 3:4] * flat, (0, 1))
+    return (pose[..., :3] @ at[..., None]).squeeze(-1) + pose[..., 3]
+
+
+def bounds(a, size, b, other):
+    """Bounds (M,) of distances by Gilbert's iteration (1966), without any simplex, m."""
+    balls, away = size[:, 4] + other[:, 4], a[..., 3] - b[..., 3]
+    least = torch.full_like(balls, -torch.inf)
+    for _ in range(60):
+        new = farthest(a, size, -away) - farthest(b, other, away)
+        length, step = away.norm(dim=1).clamp_min(1e-12), away - new
+        least = torch.maximum(least, (away * new).sum(1) / length)
+        share = (away * step).sum(1) / step.square().sum(1).clamp_min(1e-30)
+        away = away - share.clamp(0, 1)[:, None] * step
+    return least - balls, away.norm(dim=1) - balls
+
+
+def gaps(arm, scene, places, q):
+    """Bounds of the distances of pairs (B, P) in postures (B, n), infinite if it is large, m."""
+    pose, size = scene.pose.repeat(len(q), 1, 1, 1), scene.size.repeat(len(q), 1, 1)
+    pose[:, TABLE], pose[:, OBJECT], pose[:, HELD] = places.table, places.object, places.held
+    size[:, TABLE] = places.table_size
+    moves = (scene.frame >= 0).nonzero()[:, 0]
+    carrier = arm.frames(q)[scene.frame[moves]].transpose(0, 1)
+    moved = carrier[..., :3, :3] @ pose[:, moves]
+    pose[:, moves] = moved + torch.nn.functional.pad(carrier[..., :3, 3:], (3, 0))
+    radius = fixed_solids(pose.flatten(0, 1), size.flatten(0, 1)).radius.view(len(q), -1)
+    a, b = scene.pairs[:, :2].unbind(1)
+    away = (pose[:, a, :, 3] - pose[:, b, :, 3]).norm(dim=-1) - radius[:, a] - radius[:, b]
+    row, pair = (away < NEAR).nonzero(as_tuple=True)
+    a, b = a[pair], b[pair]
+    found = bounds(pose[row, a], size[row, a], pose[row, b], size[row, b])
+    return [torch.full_like(away, torch.inf).index_put((row, pair), each) for each in found]
+
+
+def test_ways_are_clear_where_nothing_is_near_on_them(robot_and_arm, random_joints, generator):
+    """What is not clear comes near between two of the postures, up to what it moves meanwhile."""
+    arm, scene, places, kind, ways = asked(*robot_and_arm, random_joints, generator, rows=40)
+    low, high = torch.full((2, len(ways), len(scene.pairs)), torch.inf, dtype=ways.dtype)
+    for share in torch.linspace(0, 1, 21).tolist():
+        for a, b in ((0, 1), (1, 2)):
+            q = ways[:, a] + share * (ways[:, b] - ways[:, a])
+            lower, upper = gaps(arm, scene, places, q)
+            low, high = low.minimum(lower), high.minimum(upper)
+    for one in (REACH, APPROACH, LIFT, CARRY):
+        clear = ways_clear(arm, scene, places, torch.full_like(kind, one), ways)
+        assert 0.02 < clear.double().mean() < 0.98
+        asked_for = scene.pairs[:, 2] & one > 0
+        assert bool((high[clear][:, asked_for] >= MARGIN - 1e-5).all())
+        assert bool((low[~clear][:, asked_for].amin(1) < NEAR).all())
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -123,22 +177,6 @@ def test_a_plan_depends_on_its_key_alone(planned):
     assert torch.equal(alone[1], count[row])
 
 
-def test_compiled_plans_are_those_in_torch(planned, monkeypatch):
-    arm, scene, places, kind, ends, key, ways, count = planned
-    same = 0
-    for row in range(5):
-        one = torch.tensor([row])
-        clear = lambda a, b, one=one: bool(  # noqa: E731
-            ways_clear(arm, scene, places[one], kind[one], torch.stack([a, b])[None])[0]
-        )
-        low, high = rrt_connect._bounds(arm, ends[one])
-        way = planned_in_torch(clear, ends[row], low[0], high[0], key[row])
-        same += len(way) == count[row] and all(
-            torch.allclose(a, b, atol=1e-9) for a, b in zip(way, ways[row], strict=False)
-        )
-    assert same == 5
-
-
 def test_no_way_leads_to_a_posture_that_touches(pr2, random_joints):
     arm, scene, places, kind, ways = asked(
         pr2, pr2.arms[0], random_joints, torch.Generator().manual_seed(9)
@@ -151,13 +189,27 @@ def test_no_way_leads_to_a_posture_that_touches(pr2, random_joints):
     assert count.tolist() == [0] * len(row)
 
 
-def test_more_pairs_than_compiled_code_takes_are_tried_in_torch(pr2, random_joints, monkeypatch):
+def test_more_pairs_than_compiled_code_takes_are_refused(pr2, random_joints):
     arm, scene, places, kind, ways = asked(
         pr2, pr2.arms[0], random_joints, torch.Generator().manual_seed(3), rows=8
     )
-    copies = 4096 // len(scene.pairs) + 1
+    copies = 16_384 // len(scene.pairs) + 1
     many = replace(scene, pairs=scene.pairs.repeat(copies, 1), reach=scene.reach.repeat(copies, 1))
-    assert clear_ways.ways_task(arm, many, places, kind, ways) is None
-    assert torch.equal(
-        ways_clear(arm, many, places, kind, ways), ways_clear(arm, scene, places, kind, ways)
-    )
+    with pytest.raises(RobotError, match=r"arm 'left' has \d+ pairs, .* take 16384: give it fewer"):
+        ways_clear(arm, many, places, kind, ways)
+
+
+def test_without_any_compiled_code_there_is_one_clear_error(pr2, monkeypatch):
+    monkeypatch.setattr(library, "built", lambda dtype: None)
+    object_and_table = random_scene(1, seed=0)
+    for question in (graspable, has_posture, arm_ways):
+        with pytest.raises(CompilerError, match="install a C compiler such as gcc"):
+            question(pr2, *object_and_table)
+
+
+def test_switching_compiled_code_off_leaves_arms_their_own(pr2, monkeypatch):
+    asked = pr2, *random_scene(30, seed=0)
+    before = graspable(*asked)
+    monkeypatch.setenv("CGTORCH_NATIVE", "0")
+    assert not native.available()
+    assert torch.equal(graspable(*asked), before)

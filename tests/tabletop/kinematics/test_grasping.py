@@ -2,12 +2,10 @@ import math
 
 import pytest
 import torch
-from support import tool_pose
 
 from cgtorch.ground.errors import RobotError
-from cgtorch.tabletop.kinematics import grasp_solution, grasping, has_posture
-from cgtorch.tabletop.kinematics.grasping import APPROACHES, MAX_STEP, table_slab, waypoints
-from cgtorch.tabletop.kinematics.touching import touches
+from cgtorch.tabletop.kinematics import grasping, has_posture
+from cgtorch.tabletop.kinematics.grasping import APPROACHES, waypoints
 
 HEIGHT = 0.74
 
@@ -108,27 +106,6 @@ def test_a_row_does_not_depend_on_the_others(pr2):
     assert torch.equal(label, has_posture(pr2, position, table))
 
 
-def test_a_solution_does_not_depend_on_the_others(pr2):
-    position, table = random_scene(120, seed=7)
-    together = grasp_solution(pr2, position, table)
-    for row in range(120):
-        alone = grasp_solution(pr2, position[row : row + 1], table[row : row + 1])
-        assert alone.found.item() == together.found[row].item()
-        assert alone.arm.item() == together.arm[row].item()
-        assert alone.approach.item() == together.approach[row].item()
-
-
-def test_postures_collide_alike_in_any_number(fetch, random_joints, generator):
-    (arm,) = fetch.arms
-    q = random_joints(arm, 2500, generator)
-    table = torch.tensor([[0.8, 0.1, 0.2, 0.8, 1.2, HEIGHT]], dtype=torch.float64)
-    hit = touches(arm, q, table_slab(table.expand(2500, 6)), fetch.body)
-    for rows in (slice(0, 10), slice(2040, 2060), slice(2490, 2500)):
-        slab = table_slab(table.expand(len(q[rows]), 6))
-        assert torch.equal(touches(arm, q[rows], slab, fetch.body), hit[rows])
-    assert touches(arm, q[:0], table_slab(table[:0]), fetch.body).shape == (0,)
-
-
 def test_float64_agrees_with_float32(pr2):
     position, table = random_scene(400, seed=3, dtype=torch.float64)
     double = has_posture(pr2, position, table)
@@ -144,30 +121,6 @@ def test_the_default_dtype_is_left_alone_and_ignored(pr2):
         assert torch.equal(has_posture(pr2, position, table), before)
     finally:
         torch.set_default_dtype(torch.float32)
-
-
-@pytest.mark.parametrize("name", ["pr2", "fetch"])
-def test_solutions_do_what_they_claim(request, name):
-    robot = request.getfixturevalue(name)
-    position, table = random_scene(600, seed=4)
-    solution = grasp_solution(robot, position, table)
-    assert torch.equal(solution.found, has_posture(robot, position, table))
-    rows = solution.found.nonzero().squeeze(1)
-    assert len(rows) > 100
-    for row in rows.tolist():
-        arm = robot.arms[int(solution.arm[row])]
-        joints = solution.joints[row]
-        way = waypoints(position[row : row + 1], *APPROACHES[int(solution.approach[row])])[0]
-        pose = tool_pose(arm, joints)
-        torch.testing.assert_close(pose, way, atol=3e-5, rtol=0)
-        assert bool((joints >= arm.lower - 1e-5).all() and (joints <= arm.upper + 1e-5).all())
-        step = arm.difference(joints[1:], joints[:-1])
-        assert step.abs().max() < MAX_STEP
-        slab = table_slab(table[row : row + 1].expand(5, 6))
-        assert not touches(arm, joints, slab, robot.body.to(joints)).any()
-    assert torch.equal(
-        solution.joints[~solution.found], torch.zeros_like(solution.joints[~solution.found])
-    )
 
 
 def test_there_is_one_approach_from_above_and_two_rings_of_twelve():

@@ -14,8 +14,8 @@ import torch
 from test_grasping import random_scene
 
 from cgtorch.tabletop.kinematics import has_posture
+from cgtorch.tabletop.kinematics.clear_ways import touches
 from cgtorch.tabletop.kinematics.grasping import APPROACHES, MAX_STEP, table_slab
-from cgtorch.tabletop.kinematics.touching import touches
 
 PANS = 72
 

@@ -5,7 +5,7 @@ import pytorch_kinematics
 import torch
 from support import tool_pose
 
-from cgtorch.tabletop.kinematics.numerical_ik import numerical_candidates
+from cgtorch.tabletop.kinematics.inverse_kinematics import numerical_candidates
 
 
 def reached(arm, pose, **keywords):

@@ -3,7 +3,7 @@
 import pytest
 
 from cgtorch.ground.errors import RobotError
-from cgtorch.tabletop.kinematics.packages import file_named, package_places
+from cgtorch.tabletop.kinematics.meshes import file_named, package_places
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
-"""Distances of solids, against points sampled on their surfaces and against what is known."""
+"""Distances of solids, as checks of ways measure them, against points on their surfaces."""
 
 import math
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -8,30 +9,40 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cgtorch.tabletop.kinematics.solid_distance import TOLERANCE, distance_of
-from cgtorch.tabletop.kinematics.solids import Solids
+from cgtorch.tabletop.kinematics import clear_ways, load_robot
+from cgtorch.tabletop.kinematics.clear_ways import HELD, LIFT, OWN, TABLE, Places, Scene, ways_clear
+from cgtorch.tabletop.kinematics.solids import fixed_solids
 
+TOLERANCE = 2e-5  # m
 BALL = (0.0, 0.0, 0.0, 0.0, 0.1)
 CYLINDER = (0.0, 0.0, 0.2, 0.1, 0.0)
 CAPSULE = (0.0, 0.0, 0.2, 0.0, 0.1)
 BOX = (0.1, 0.2, 0.3, 0.0, 0.0)
+LEVEL = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]  # z to x
+ARM = load_robot().arms[0]
 
 
 def pose(x=0.0, y=0.0, z=0.0, turn=None):
-    made = torch.eye(3, 4, dtype=torch.float64)
-    made[:, 3] = torch.tensor([x, y, z])
+    made = torch.eye(4, dtype=torch.float64)
+    made[:3, 3] = torch.tensor([x, y, z])
     if turn is not None:
-        made[:, :3] = torch.tensor(turn)
-    return made[None]
+        made[:3, :3] = torch.tensor(turn)
+    return made
 
 
-def apart(a, at, b, there):
-    sizes = (torch.tensor([size], dtype=torch.float64) for size in (a, b))
-    size, other = sizes
-    return float(distance_of(at, size, there, other)[0])
-
-
-LEVEL = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]  # z to x
+def apart(a, at, b, there, margin):
+    """Whether a solid in an arm's hand keeps a distance (m) from another one."""
+    q = torch.zeros(1, 1, len(ARM.joint_names), dtype=torch.float64)
+    hand = torch.linalg.inv(ARM.frames(q[0])[-1, 0])
+    size = torch.tensor([a], dtype=torch.float64).expand(OWN, 5)
+    solids = fixed_solids(torch.eye(4, dtype=torch.float64)[:3].expand(OWN, 3, 4), size)
+    frame = torch.tensor([-1, -1, len(ARM.chain(q)[1].kind) - 1])
+    pairs = torch.tensor([[HELD, TABLE, LIFT]])
+    scene = Scene(solids.pose, size, solids.radius, frame, pairs, torch.zeros(1, q.shape[2]))
+    other = torch.tensor([b], dtype=torch.float64)
+    places = Places(there[None, :3], other, there[None, :3], (hand @ at)[None, :3])
+    with patch.object(clear_ways, "MARGIN", margin):
+        return bool(ways_clear(ARM, scene.to(q), places, torch.tensor([LIFT]), q))
 
 
 @pytest.mark.parametrize(
@@ -48,21 +59,22 @@ LEVEL = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]  # z to x
     ],
 )
 def test_known_distances(a, b, there, wanted):
-    assert apart(a, pose(), b, there) == pytest.approx(wanted, abs=2 * TOLERANCE)
-    assert apart(b, there, a, pose()) == pytest.approx(wanted, abs=2 * TOLERANCE)
+    for one, at, other, place in ((a, pose(), b, there), (b, there, a, pose())):
+        assert apart(one, at, other, place, wanted - TOLERANCE)
+        assert not apart(one, at, other, place, wanted + TOLERANCE)
 
 
 def test_a_cylinder_ends_where_a_capsule_is_round():
     """A table's edge just beside the rim of the end of a cylinder."""
     corner = pose(x=0.1 + 0.09, z=0.3 + 0.19)
-    assert apart(CYLINDER, pose(), BOX, corner) <= 0
-    assert apart((0.0, 0.0, 0.1, 0.0, 0.1), pose(), BOX, corner) > 0.01
+    assert not apart(CYLINDER, pose(), BOX, corner, TOLERANCE)
+    assert apart((0.0, 0.0, 0.1, 0.0, 0.1), pose(), BOX, corner, 0.01)
 
 
-def test_solids_that_meet_are_not_apart():
-    for a in (BALL, CYLINDER, CAPSULE, BOX):
-        for b in (BALL, CYLINDER, CAPSULE, BOX):
-            assert apart(a, pose(), b, pose(x=0.05, y=0.02, z=0.01)) <= 0
+@pytest.mark.parametrize("a", [BALL, CYLINDER, CAPSULE, BOX])
+@pytest.mark.parametrize("b", [BALL, CYLINDER, CAPSULE, BOX])
+def test_solids_that_meet_are_not_apart(a, b):
+    assert not apart(a, pose(), b, pose(x=0.05, y=0.02, z=0.01), TOLERANCE)
 
 
 def rotation(numbers):
@@ -104,18 +116,16 @@ solids = st.sampled_from(
 @settings(max_examples=60, deadline=None)
 def test_no_sampled_point_is_nearer_and_some_is_as_near(a, b, turn, shift):
     matrix, shift = rotation(turn), np.array(shift)
-    found = apart(a, pose(*shift, turn=matrix.tolist()), b, pose())
     points = surface(np.array(a), 4000, np.random.default_rng(0)) @ matrix.T + shift
-    nearest = point_distance(points, b).min()
-    assert found <= nearest + 2 * TOLERANCE
+    nearest, at = point_distance(points, b).min(), pose(*shift, turn=matrix.tolist())
+    assert not apart(a, at, b, pose(), max(nearest, 0) + TOLERANCE)
     if nearest > 0.05:
-        assert found >= nearest - 0.05
+        assert apart(a, at, b, pose(), nearest - 0.05)
 
 
 def test_the_ball_around_a_solid_holds_it():
     size = torch.tensor([BALL, CYLINDER, CAPSULE, BOX], dtype=torch.float64)
-    none = torch.full((4,), -1)
-    radius = Solids(pose().expand(4, 3, 4), size, none, none).radius
+    radius = fixed_solids(pose()[:3].expand(4, 3, 4), size).radius
     for each, most in zip(size.numpy(), radius.tolist(), strict=True):
         points = surface(each, 2000, np.random.default_rng(1))
         assert np.linalg.norm(points, axis=1).max() <= most + 1e-12

@@ -13,8 +13,8 @@ from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.domain import Tabletop
+from cgtorch.tabletop.kinematics.clear_ways import touches
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, LIFT, table_slab
-from cgtorch.tabletop.kinematics.touching import touches
 from cgtorch.tabletop.physics import Physics
 from cgtorch.tabletop.physics.grasp import LIFTED
 from cgtorch.tabletop.physics.world import drives, grasps

@@ -1,6 +1,5 @@
-/* Ways around obstacles between two postures (cgtorch.tabletop.kinematics.rrt_connect): two random trees that
-   grow together (Kuffner & LaValle, "RRT-Connect: an efficient approach to single-query path planning",
-   2000). */
+/* Arms, row after row: inverse kinematics, whether postures touch something and ways are clear, and planned
+   ways (cgtorch.tabletop.kinematics). */
 #include <stdlib.h>
 
 #include "engine/draws.h"
@@ -8,6 +7,72 @@
 
 #define MOST_NODES 512
 #define MOST_VIAS 16
+
+typedef struct {
+  ClosedForm form;
+  const real *pose, *pan; /* (N, 4, 4) of the tool; (N, tries) */
+  const int64_t *branch;  /* (N, tries) */
+  real *q;                /* (N, tries, FORM_JOINTS) */
+  unsigned char *reached; /* (N, tries) */
+  int64_t poses, tries;
+} Solutions;
+
+EXPORT_STRUCT(Chain)
+EXPORT_STRUCT(Boxes)
+EXPORT_STRUCT(Arms)
+EXPORT_STRUCT(ClosedForm)
+EXPORT_STRUCT(Solutions)
+EXPORT_STRUCT(Scene)
+EXPORT_STRUCT(Ways)
+EXPORT_CONSTANTS(arm_limits, MOST_FRAMES, MOST_CAPSULES, MOST_JOINTS, MOST_SOLIDS, MOST_PAIRS, MOST_WAYPOINTS)
+
+static void some_solutions(void *what, int64_t begin, int64_t end) {
+  const Solutions *s = what;
+  for (int64_t row = begin; row < end; row++) {
+    real wrist[12];
+    wrist_of(&s->form, s->pose + row * 16, wrist);
+    for (int64_t i = row * s->tries; i < (row + 1) * s->tries; i++) {
+      const Pan pan = {s->pan[i], FN(cos)(s->pan[i]), FN(sin)(s->pan[i])};
+      const real *branch = s->form.branches + 3 * s->branch[i];
+      s->reached[i] = (unsigned char)solved(&s->form, branch, &pan, wrist, s->q + i * FORM_JOINTS);
+    }
+  }
+}
+
+int arm_solutions(Solutions *solutions, int64_t threads) {
+  in_parallel(some_solutions, solutions, solutions->poses, 64, threads);
+  return DONE;
+}
+
+static void some_arms(void *what, int64_t begin, int64_t end) {
+  const Arms *a = what;
+  for (int64_t row = begin; row < end; row++)
+    a->hit[row] = (unsigned char)arm_touches(a, row, a->q + row * a->chain.joints);
+}
+
+int arms_touch(Arms *arms, int64_t threads) {
+  in_parallel(some_arms, arms, arms->postures, 256, threads);
+  return DONE;
+}
+
+static void some_ways(void *what, int64_t begin, int64_t end) {
+  const Ways *ways = what;
+  const int64_t width = ways->waypoints * ways->scene.chain.joints;
+  Way way;
+  for (int64_t row = begin; row < end; row++) {
+    placed_in_scene(ways, row, &way);
+    ways->clear[row] = (unsigned char)is_clear(&way, ways->kind[row], ways->held + row * 12,
+                                               ways->q + row * width, ways->waypoints);
+  }
+}
+
+int ways_clear(Ways *ways, int64_t threads) {
+  in_parallel(some_ways, ways, ways->ways, 4, threads);
+  return DONE;
+}
+
+/* ---- Ways around obstacles: two random trees that grow together (Kuffner & LaValle, "RRT-Connect: an
+   efficient approach to single-query path planning", 2000) ---- */
 
 typedef struct {
   Ways ways;                  /* of two waypoints each: where the arm is and where it shall go */
@@ -19,7 +84,7 @@ typedef struct {
   double step; /* how far a tree grows at a time, rad or m */
 } Plans;
 EXPORT_STRUCT(Plans)
-EXPORT_CONSTANTS(plan_limits, MOST_NODES, MOST_VIAS)
+EXPORT_CONSTANTS(plan_limits, MOST_VIAS)
 
 typedef struct {
   real q[MOST_NODES][MOST_JOINTS];
@@ -102,7 +167,7 @@ static int64_t shortened(Search *s, int64_t one, int64_t other, real *out) {
 static int64_t planned(Search *s, real *out) {
   const Plans *plans = s->plans;
   const int64_t joints = s->joints, row = s->row;
-  const real *ends = plans->ways.q + plans->ways.first[row] * joints;
+  const real *ends = plans->ways.q + row * 2 * joints;
   for (int t = 0; t < 2; t++) {
     memcpy(s->trees[t].q[0], ends + t * joints, (size_t)joints * sizeof(real));
     s->trees[t].parent[0] = -1, s->trees[t].count = 1;
