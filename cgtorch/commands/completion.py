@@ -105,16 +105,15 @@ def _of_domain(
 
 def runs(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
     """Folders of runs that begin with a word, first those in runs/; else any folder."""
-    place, slash, begins = (incomplete or "runs/").rpartition("/")
-    names = sorted(path.parent.name for path in Path(place + slash).glob("*/run.json"))
-    return [CompletionItem(place + slash + name) for name in names if name.startswith(begins)] or [
-        CompletionItem(incomplete, type="dir")
-    ]
+    return _runs(incomplete) or [CompletionItem(incomplete, type="dir")]
 
 
 def runs_or_skills(context: Context, parameter: Parameter, incomplete: str) -> list[CompletionItem]:
     """Folders of runs as in `runs`; else any file."""
-    return [
-        CompletionItem(item.value, type="file" if item.type == "dir" else item.type)
-        for item in runs(context, parameter, incomplete)
-    ]
+    return _runs(incomplete) or [CompletionItem(incomplete, type="file")]
+
+
+def _runs(incomplete: str) -> list[CompletionItem]:
+    place, slash, begins = (incomplete or "runs/").rpartition("/")
+    names = sorted(path.parent.name for path in Path(place + slash).glob("*/run.json"))
+    return [CompletionItem(place + slash + name) for name in names if name.startswith(begins)]

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgtorch.commands import options
-from cgtorch.commands.command import importing, run_command
+from cgtorch.commands import common
+from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.statistics import wilson
 
 if TYPE_CHECKING:
+    from cgtorch.domains.domain import Domain
     from cgtorch.runs.skills import Chosen
     from cgtorch.training.evaluate import Score
 
@@ -28,13 +29,9 @@ Examples:
 """
 
 
-@click.command(
-    "cgtorch-evaluate",
-    epilog=options.epilog(EXAMPLES),
-    short_help="Try a skill on fresh scenarios.",
-)
-@options.run_or_skill
-@options.scenario_options(
+@common.command("cgtorch-evaluate", EXAMPLES, short_help="Try a skill on fresh scenarios.")
+@common.run_or_skill
+@common.scenario_options(
     "The kind of scenarios. The tabletop has near, left, right, far and perimeter (the paper's "
     "table), general (any table, from any side) and general-clutter (half of them with a box in "
     "the way). Another domain has its own kinds.  [the run's; a skill file: the domain's usual]",
@@ -42,17 +39,16 @@ Examples:
     seed="Seed of the scenarios and of their noise.",
     most=1_000_000,
 )
-@options.skill_option
-@options.domain_option
-@options.world_option
+@common.skill_option
+@common.domain_option
+@common.world_option
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 @click.option(
     "--picture",
     type=click.Path(path_type=Path, dir_okay=False),
     help=f"Draw the first {PICTURED} scenarios into this PNG file, if the domain draws any.",
 )
-@options.common_options
-def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> None:
+def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
 
     For a run, two more shares are printed: how often the skill succeeded where the run's models
@@ -62,43 +58,36 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
     a skill file. A skill file is tried in its domain's default world; for the tabletop this has
     the built-in PR2.
     """
-    with importing():
+    with common.importing():
         import torch
 
         from cgtorch import native
         from cgtorch.ground.distributed import cores
-        from cgtorch.runs.ledger import read_index
         from cgtorch.runs.skills import chosen_skill
-        from cgtorch.runs.storage import CLASSIFIER, GAMMA, load_knowledge
-        from cgtorch.training.evaluate import evaluate_skill, robust_successes
+        from cgtorch.training.evaluate import evaluate_skill
 
     torch.set_num_threads(1)
-    about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
-    chosen, quiet = chosen_skill(path, *about), rest["quiet"]
-    skill, domain, kind, stage = chosen.skill, chosen.domain, chosen.kind, chosen.stage
+    native.use_threads(cores())  # for worlds that take long, which share out work to processes
+    chosen = chosen_skill(path, rest["name"], rest["actions"], rest["scenarios"], rest["domain"])
+    skill, domain, kind = chosen.skill, chosen.domain, chosen.kind
     if rest["world"] is not None:
         domain = domain.in_world(rest["world"])
-    native.use_threads(cores())  # for worlds that take long, which share out work to processes
-    with options.waiting(f"trying {skill.name} on {kind} scenarios", quiet, count) as done:
-        score = evaluate_skill(skill, domain, kind, count, seed, done)
-    measures = dict[str, dict[str, Any]]()
-    for name, other in domain.other_measures().items():
-        with options.waiting(f"trying {skill.name} again: {name}", quiet, count) as done:
-            again = evaluate_skill(skill, other, kind, count, seed, done)
-        measures[name] = _share(again.successes, again.tried)
+
+    def tried(domain: "Domain[Any]", message: str) -> "Score":
+        with common.waiting(message, quiet, count) as done:
+            return evaluate_skill(skill, domain, kind, count, seed, done)
+
+    score = tried(domain, f"trying {skill.name} on {kind} scenarios")
+    others = {
+        name: tried(other, f"trying {skill.name} again: {name}")
+        for name, other in domain.other_measures().items()
+    }
     if rest["picture"]:
         _draw(rest["picture"], score, chosen)
     own, predicted, noise = _share(score.successes, score.tried), None, None
-    if stage is not None and chosen.run is not None:
-        # A run may be passed on without its models.
-        if any((stage / name).exists() for name in (GAMMA, CLASSIFIER)):
-            knowledge = load_knowledge(stage, domain.unfitted())
-            with options.waiting(f"predicting robust successes of {skill.name}", quiet):
-                kept = robust_successes(score, skill, knowledge, domain, seed)
-            predicted = None if kept is None else _share(kept.successes, kept.tried)
-        index = {line["name"]: line for line in read_index(chosen.run.folder)}
-        met = index.get(skill.name, {}).get("w_other_noise")
-        noise = met and _share(met["succeeded"], met["tried"])
+    if chosen.run is not None and chosen.stage is not None:
+        predicted, noise = _of_run(chosen, domain, score, seed, quiet)
+    measures = {name: _share(other.successes, other.tried) for name, other in others.items()}
     if as_json:
         result = {
             "skill": skill.name,
@@ -126,16 +115,35 @@ def command(path: Path, count: int, seed: int, as_json: bool, **rest: Any) -> No
         click.echo(f"W under other noise, when it was accepted: {_as_text(noise)}")
 
 
+def _of_run(
+    chosen: "Chosen", domain: "Domain[Any]", score: "Score", seed: int, quiet: bool
+) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
+    """The shares of predicted successes, and of W under other noise; None without models, W."""
+    from cgtorch.runs.ledger import read_index
+    from cgtorch.runs.storage import CLASSIFIER, GAMMA, load_knowledge
+    from cgtorch.training.evaluate import robust_successes
+
+    run, stage, skill, kept = chosen.run, chosen.stage, chosen.skill, None
+    assert run is not None and stage is not None  # noqa: S101, PT018
+    if any((stage / name).exists() for name in (GAMMA, CLASSIFIER)):  # or it was passed on without
+        knowledge = load_knowledge(stage, domain.unfitted())
+        with common.waiting(f"predicting robust successes of {skill.name}", quiet):
+            kept = robust_successes(score, skill, knowledge, domain, seed)
+    index = {line["name"]: line for line in read_index(run.folder)}
+    met = index.get(skill.name, {}).get("w_other_noise")
+    predicted = None if kept is None else _share(kept.successes, kept.tried)
+    return predicted, met and _share(met["succeeded"], met["tried"])
+
+
 def _returns_as_text(score: "Score", target: float) -> str:
-    """The mean return and its interval, and the number of unfinished episodes."""
+    """The mean return and its range, or the number of unfinished episodes."""
     returns = [] if score.returns is None else score.returns.tolist()
     finite = [r for r in returns if isfinite(r)]
     if len(finite) < score.tried:
         return f"{score.tried - len(finite)} of {score.tried} episodes were not finished"
-    low, high = min(finite), max(finite)
     return (
-        f"mean return {score.mean_return:.5g} (from {low:.5g} to {high:.5g}), where {target:.5g} "
-        "counts as solved"
+        f"mean return {score.mean_return:.5g} (from {min(finite):.5g} to {max(finite):.5g}), "
+        f"where {target:.5g} counts as solved"
     )
 
 
@@ -159,13 +167,10 @@ def _draw(path: Path, score: "Score", chosen: "Chosen") -> None:
     """Draw the first scenarios and their results into a PNG file."""
     import io
 
-    import torch
-
-    from cgtorch.ground.errors import SettingsError
     from cgtorch.ground.files import write_bytes
 
     scenarios, succeeded = score.scenarios[:PICTURED], score.succeeded[:PICTURED]
-    nothing = torch.zeros_like(succeeded)
+    nothing = succeeded.new_zeros(len(succeeded))
     figure = chosen.domain.draw_scenarios(scenarios, succeeded, nothing, chosen.skill.name)
     if figure is None:
         raise SettingsError(
@@ -176,7 +181,7 @@ def _draw(path: Path, score: "Score", chosen: "Chosen") -> None:
     write_bytes(path, image.getvalue())
 
 
-main = partial(run_command, command)
+main = partial(common.run_command, command)
 
 if __name__ == "__main__":
     main()

@@ -6,8 +6,7 @@ from typing import Any
 
 import click
 
-from cgtorch.commands import options
-from cgtorch.commands.command import run_command
+from cgtorch.commands import common
 from cgtorch.commands.completion import SCENARIOS, one_of
 
 EXAMPLES = """\b
@@ -21,19 +20,13 @@ Examples:
   cgtorch-export skill.json --format mermaid --output skill.mmd --force
   cgtorch-export runs/auto --format data --output log.csv
 """
-
 FORMATS = ("json", "module", "onnx", "state-machine", "dot", "graphml", "mermaid", "data")
-
 ENDS = {"module": (".pt2",), "data": (".csv", ".parquet")}
 """How the name of the file has to end, where a format requires it."""
 
 
-@click.command(
-    "cgtorch-export",
-    epilog=options.epilog(EXAMPLES),
-    short_help="Write a skill for other programs.",
-)
-@options.run_or_skill
+@common.command("cgtorch-export", EXAMPLES, short_help="Write a skill for other programs.")
+@common.run_or_skill
 @click.option(
     "--format",
     "form",
@@ -44,61 +37,54 @@ ENDS = {"module": (".pt2",), "data": (".csv", ".parquet")}
     "mermaid: drawings as text; data: all transitions and tests of the run as a table, CSV or "
     "Parquet, for cgtorch-train --data.",
 )
-@options.output_option("The file to write.")
-@options.skill_option
-@options.domain_option
+@common.output_option("The file to write.")
+@common.skill_option
+@common.domain_option
 @click.option(
     "--scenarios",
     shell_complete=one_of(SCENARIOS),
     help="For a skill file: the kind of scenarios that the skill was evolved on. It decides what "
     "the percept contains.  [the domain's usual kind]",
 )
-@options.force_option
-@options.common_options
-def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **rest: Any) -> None:
+@common.force_option
+def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **about: Any) -> None:
     """Write a skill in a format that other programs read or run, without cgtorch.
 
     RUN_OR_SKILL is the folder of a run (its last skill is taken), the folder of a stage in it, or
     a skill file.
     """
-    options.check_output(output, force)
+    common.check_output(output, force)
     ends = ENDS.get(form, (output.suffix,))
     if output.suffix not in ends:
         raise click.UsageError(
             f"--output is {str(output)!r}; give a name that ends in {' or '.join(ends)} for "
             f"--format {form}"
         )
+    kind = about.pop("scenarios")
     if form == "data":
-        _write_data(path, output, **rest)
+        from cgtorch.domains.data_files import write_data
+        from cgtorch.runs.stored_data import stored_data
+
+        found = stored_data(path, about["name"], about["actions"], about["domain"])
+        data, domain = found.dataset, found.run.domain
+        write_data(output, data, domain.percept, domain.control)
+        counts = f"{len(data.percept)} transitions and {len(data.tested)} tests"
+        click.echo(f"data of {found.part}: {output}, {counts}")
         return
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.export import SIZED
     from cgtorch.ground.files import write_bytes
     from cgtorch.runs.skills import chosen_skill
 
-    about = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
-    chosen = chosen_skill(path, *about)
-    skill = chosen.skill
+    chosen = chosen_skill(path, kind=kind, **about)
     sizes = {"percept_size": len(chosen.domain.percept)} if form in SIZED else {}
-    with options.waiting(f"exporting {skill.name} as {form}", quiet):
-        data = WRITERS[form](skill, **sizes)
-    write_bytes(output, data)
-    click.echo(f"{skill.name} as {form}: {output}, {len(data)} bytes")
+    with common.waiting(f"exporting {chosen.skill.name} as {form}", quiet):
+        written = WRITERS[form](chosen.skill, **sizes)
+    write_bytes(output, written)
+    click.echo(f"{chosen.skill.name} as {form}: {output}, {len(written)} bytes")
 
 
-def _write_data(path: Path, output: Path, **rest: Any) -> None:
-    """Write all data of a run."""
-    from cgtorch.domains.data_files import write_data
-    from cgtorch.runs.stored_data import stored_data
-
-    found = stored_data(path, rest["name"], rest["actions"], rest["domain"])
-    data, domain = found.dataset, found.run.domain
-    write_data(output, data, domain.percept, domain.control)
-    counts = f"{len(data.percept)} transitions and {len(data.tested)} tests"
-    click.echo(f"data of {found.part}: {output}, {counts}")
-
-
-main = partial(run_command, command)
+main = partial(common.run_command, command)
 
 if __name__ == "__main__":
     main()

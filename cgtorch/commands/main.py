@@ -6,8 +6,7 @@ from importlib.metadata import distribution
 
 import click
 
-from cgtorch.commands.command import run_command
-from cgtorch.commands.options import completion_option, epilog
+from cgtorch.commands.common import completion_option, epilog, run_command
 
 PREFIX = "cgtorch-"
 EXAMPLES = """\b

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import click
 
-from cgtorch.commands import options
-from cgtorch.commands.command import run_command
+from cgtorch.commands import common
 from cgtorch.commands.completion import runs_or_skills
 
 EXAMPLES = """\b
@@ -17,14 +16,11 @@ Examples:
 """
 
 
-@click.command("cgtorch-report", epilog=options.epilog(EXAMPLES))
-@click.argument(
-    "run", metavar="RUN", type=click.Path(path_type=Path), shell_complete=runs_or_skills
-)
-@options.output_option("The HTML file to write.")
-@options.domain_option
-@options.force_option
-@options.common_options
+@common.command("cgtorch-report", EXAMPLES)
+@click.argument("run", metavar="RUN", type=common.A_PATH, shell_complete=runs_or_skills)
+@common.output_option("The HTML file to write.")
+@common.domain_option
+@common.force_option
 def command(
     run: Path, output: Path, domain: str | None, actions: tuple[str, ...], force: bool, quiet: bool
 ) -> None:
@@ -35,8 +31,8 @@ def command(
     the commands that make the run again. Everything is read from the folder RUN. For an
     unfinished run, the page says which parts are missing.
     """
-    options.check_output(output, force)
-    options.draw_without_display()
+    common.check_output(output, force)
+    common.draw_without_display()
     import torch
 
     from cgtorch.ground.files import write_bytes
@@ -44,13 +40,13 @@ def command(
     from cgtorch.runs.stored_run import read_run
 
     torch.set_num_threads(1)
-    with options.waiting(f"drawing {run}", quiet):
+    with common.waiting(f"drawing {run}", quiet):
         page = report_page(read_run(run, actions, domain))
     write_bytes(output, page)
     click.echo(f"{run} as a page: {output}, {len(page)} bytes")
 
 
-main = partial(run_command, command)
+main = partial(common.run_command, command)
 
 if __name__ == "__main__":
     main()

@@ -1,13 +1,13 @@
 """`cgtorch-robot`: make a robot folder from any URDF."""
 
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgtorch.commands import options
-from cgtorch.commands.command import importing, run_command
+from cgtorch.commands import common
 from cgtorch.ground.errors import RunError, SettingsError
 
 if TYPE_CHECKING:
@@ -22,13 +22,13 @@ Examples:
 NO_JOINT = "none"
 
 
-@click.command("cgtorch-robot", epilog=options.epilog(EXAMPLES))
-@click.argument("urdf", metavar="URDF", type=click.Path(path_type=Path))
-@options.output_option("The robot folder to make; it must not exist yet.")
+@common.command("cgtorch-robot", EXAMPLES)
+@click.argument("urdf", metavar="URDF", type=common.A_PATH)
+@common.output_option("The robot folder to make; it must not exist yet.")
 @click.option(
     "--package-path",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=common.A_PATH,
     help="A folder that contains ROS packages, which the URDF names by package://, or one such "
     "package. Repeat the option for several. ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are searched "
     "as well.",
@@ -81,7 +81,6 @@ NO_JOINT = "none"
     help="The position of an arm joint while the robot drives, rad or m. Repeat the option for "
     "several.  [a computed posture]",
 )
-@options.common_options
 def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: Any) -> None:
     """Make a robot folder from a URDF, for --robot of cgtorch-train.
 
@@ -92,7 +91,7 @@ def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: An
     """
     if output.exists():
         raise RunError(f"{str(output)!r} exists; choose another --output")
-    with importing():
+    with common.importing():
         import torch
 
         from cgtorch.tabletop.robot_folder.make import make_robot_folder
@@ -111,7 +110,7 @@ def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: An
         held=dict(_position("--hold", text) for text in rest["hold"]),
         home=dict(_position("--home", text) for text in rest["home"]),
     )
-    with options.waiting(f"fitting shapes to {urdf}", rest["quiet"]):
+    with common.waiting(f"fitting shapes to {urdf}", rest["quiet"]):
         made = make_robot_folder(urdf, output, wishes, package_path)
     for line in _summary(made, output):
         click.echo(line)
@@ -135,51 +134,48 @@ def _position(option: str, text: str) -> tuple[str, float]:
         raise SettingsError(f"{option} is {text!r}; give JOINT=POSITION") from None
 
 
-def _summary(made: "Made", folder: Path) -> list[str]:
+def _summary(made: "Made", folder: Path) -> Iterator[str]:
     """What was made, and what the user should check."""
     words, robot = made.robot.description, made.robot
     x0, x1, y0, y1 = words.footprint
-    lines = [
-        f"{words.name}: {folder}",
+    yield f"{words.name}: {folder}"
+    yield (
         f"base frame {words.base_frame}, footprint {x1 - x0:.3f} by {y1 - y0:.3f} m, "
-        f"x from {x0} to {x1}, y from {y0} to {y1}",
-        f"torso {words.torso_joint} at {words.torso_position}"
-        if words.torso_joint
-        else "no torso joint",
-    ]
+        f"x from {x0} to {x1}, y from {y0} to {y1}"
+    )
+    torso = f"torso {words.torso_joint} at {words.torso_position}"
+    yield torso if words.torso_joint else "no torso joint"
     for arm, model in zip(words.arms, robot.arms, strict=True):
         solved = "in closed form" if model.closed_form is not None else "numerically, which is slow"
-        lines.append(
+        yield (
             f"arm {arm.name}: {len(model.joint_names)} joints from {arm.base_link} to "
             f"{arm.tool_frame}, solved {solved}"
         )
-    fits = [each for each in made.meshes if each.fit is not None]
+    fits = [(each.fit, each.link) for each in made.meshes if each.fit is not None]
     if fits:
-        worst = max(fits, key=lambda each: each.fit.ratio if each.fit else 0.0)
-        shapes = sum(len(each.fit.shapes) for each in fits if each.fit)
-        volumes = [each.fit.ratio for each in fits if each.fit]
-        lines.append(
-            f"{len(fits)} meshes are {shapes} shapes, of {sum(volumes) / len(volumes):.2f} times "
-            f"the volume of convex hulls (mean; {max(volumes):.2f} of {worst.link})"
+        volumes = [fit.ratio for fit, _ in fits]
+        worst = fits[volumes.index(max(volumes))][1]
+        yield (
+            f"{len(fits)} meshes are {sum(len(fit.shapes) for fit, _ in fits)} shapes, of "
+            f"{sum(volumes) / len(volumes):.2f} times the volume of convex hulls (mean; "
+            f"{max(volumes):.2f} of {worst})"
         )
-    lines += ["", "Please check:"]
-    notes = [
-        f"x leads forward in {folder / 'robot.png'}, and the dashed footprint holds the body",
-        "tool frames lie between the finger tips: red (x) along the approach, green (y) across",
-        *made.notes,
-    ]
+    yield "\nPlease check:"
+    yield f"- x leads forward in {folder / 'robot.png'}, and the dashed footprint holds the body"
+    yield "- tool frames lie between the finger tips: red (x) along the approach, green (y) across"
+    yield from (f"- {note}" for note in made.notes)
     if made.inertials:
-        notes.append(f"masses or inertias were made up for {', '.join(made.inertials)}")
-    unread = [each for each in made.meshes if each.fit is None]
-    notes += [f"link {each.link} is not drawn: {each.problem}" for each in unread]
-    notes.append(
-        f"of {len(made.grasps)} objects on a table right before the robot it can grasp "
+        yield f"- masses or inertias were made up for {', '.join(made.inertials)}"
+    for each in made.meshes:
+        if each.fit is None:
+            yield f"- link {each.link} is not drawn: {each.problem}"
+    yield (
+        f"- of {len(made.grasps)} objects on a table right before the robot it can grasp "
         f"{int(made.grasps.sum())}"
     )
-    return [*lines, *(f"- {note}" for note in notes)]
 
 
-main = partial(run_command, command)
+main = partial(common.run_command, command)
 
 if __name__ == "__main__":
     main()

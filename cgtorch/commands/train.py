@@ -1,6 +1,6 @@
 """`cgtorch-train`: evolve a skill for a domain, in stages or until a goal is reached."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import Field, fields
 from functools import partial
 from pathlib import Path
@@ -8,16 +8,13 @@ from typing import Any
 
 import click
 
-from cgtorch.commands import completion
-from cgtorch.commands.command import importing, run_command
-from cgtorch.commands.domain_command import DomainCommand
-from cgtorch.commands.options import common_options, epilog, importable, number_option
+from cgtorch.commands import common, completion
 from cgtorch.domains.registry import check_options, domain_class, is_code, settings_class
-from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.errors import CgtorchError, SettingsError
+from cgtorch.ground.files import read_json
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.settings import NAMES, RunSettings, defaults_of, help_of, option_of
 
-AUTO = "auto"
 EXAMPLES = """\b
 Examples:
   cgtorch-train --stage S2
@@ -37,21 +34,65 @@ Examples:
 """
 
 
+class DomainCommand(click.Command):
+    """A click command that gets the options of a domain once the domain's name is known."""
+
+    def __init__(self, *args: Any, add: Callable[[str], list[click.Option]], **kwargs: Any) -> None:
+        """A command; `add` makes the options of the domain with a name."""
+        super().__init__(*args, **kwargs)
+        self._add = add
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """See `click.Command.parse_args`; the domain is determined first."""
+        ctx.meta[completion.DOMAIN] = spec = _domain_named(args)
+        common.import_from_here([spec])
+        return super().parse_args(ctx, args)
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """See `click.Command.get_params`."""
+        known, made = super().get_params(ctx), f"{completion.DOMAIN}.options"
+        try:
+            if made not in ctx.meta:
+                ctx.meta[made] = self._add(ctx.meta.get(completion.DOMAIN, RunSettings.domain))
+        except CgtorchError as e:
+            if ctx.resilient_parsing:
+                return known
+            raise click.UsageError(str(e)) from e
+        return [*known[:-1], *ctx.meta[made], known[-1]]
+
+
+def _domain_named(args: list[str]) -> str:
+    """The domain of a command line: the one it names, or that of the run that it names."""
+    spec, run = _value(args, "--domain"), _value(args, "--resume")
+    if spec is None and run is not None:
+        try:
+            spec = read_json(Path(run) / "run.json")["settings"]["domain"]
+        except (CgtorchError, TypeError, KeyError):
+            spec = None  # what is wrong with it is told once the run is opened
+        if not isinstance(spec, str) or is_code(spec):
+            spec = None
+    return RunSettings.domain if spec is None else spec
+
+
+def _value(args: list[str], option: str) -> str | None:
+    for i, word in enumerate(args):
+        if word == option and i + 1 < len(args):
+            return args[i + 1]
+        if word.startswith(f"{option}="):
+            return word.partition("=")[2]
+    return None
+
+
 def _options(spec: str) -> list[click.Option]:
     """The options of all settings of a run in a domain, and of its goal."""
     goal, always = (f.name for f in fields(Goal)), (str(p.name) for p in command.params)
     check_options(spec, (*NAMES, *goal, *always))
     own = settings_class(spec)
-    skip, defaults = (
-        ("actions", "data", "domain", "driver", "environment", "target_return"),
-        defaults_of(own),
-    )
-    every = (f for kind in (Goal, RunSettings, own) for f in fields(kind))
-    kinds = domain_class(spec).kinds if is_code(spec) else ()
+    skip = ("actions", "data", "domain", "driver", "environment", "target_return")
+    defaults, kinds = defaults_of(own), domain_class(spec).kinds if is_code(spec) else ()
     helps = partial(help_of, domain=spec, kinds=kinds if isinstance(kinds, tuple) else ())
-    return [
-        _option(f, defaults.get(f.name, f.default), helps(f)) for f in every if f.name not in skip
-    ]
+    every = (f for kind in (Goal, RunSettings, own) for f in fields(kind) if f.name not in skip)
+    return [_option(f, defaults.get(f.name, f.default), helps(f)) for f in every]
 
 
 def _option(f: Field[Any], default: Any, text: str) -> click.Option:
@@ -68,11 +109,11 @@ def _option(f: Field[Any], default: Any, text: str) -> click.Option:
     )
 
 
-@click.command(
+@common.command(
     "cgtorch-train",
+    EXAMPLES,
     cls=DomainCommand,
     add=_options,
-    epilog=epilog(EXAMPLES),
     short_help="Evolve a skill for a domain.",
 )
 @click.option(
@@ -89,14 +130,9 @@ def _option(f: Field[Any], default: Any, text: str) -> click.Option:
     help="The last stage to make (the tabletop has S0 to S3), or auto for rounds until the target "
     "is met.  [as the run began; a new run: S2 for the tabletop, auto without stages]",
 )
+@click.option("--run-dir", type=common.A_PATH, help="The folder of the run.  [runs/seed-N]")
 @click.option(
-    "--run-dir", type=click.Path(path_type=Path), help="The folder of the run.  [runs/seed-N]"
-)
-@click.option(
-    "--resume",
-    type=click.Path(path_type=Path),
-    shell_complete=completion.runs,
-    help="Continue this run.",
+    "--resume", type=common.A_PATH, shell_complete=completion.runs, help="Continue this run."
 )
 @click.option(
     "--override",
@@ -106,7 +142,7 @@ def _option(f: Field[Any], default: Any, text: str) -> click.Option:
 )
 @click.option(
     "--driver",
-    callback=importable,
+    callback=common.importable,
     help="The driver of a robot in place of the simulated world, as package.module:Class.",
 )
 @click.option(
@@ -130,13 +166,12 @@ def _option(f: Field[Any], default: Any, text: str) -> click.Option:
     shell_complete=completion.one_of(("auto", "cpu", "cuda")),
     help="The device: cpu, cuda, cuda:N, or auto for the fastest. A run may change its device.",
 )
-@number_option(
+@common.number_option(
     "--checkpoint-seconds",
     click.FloatRange(min=0),
     20.0,
     "Seconds between two checkpoints of an evolution. Finished work is kept at once.",
 )
-@common_options
 @click.pass_context
 def command(context: click.Context, /, **options: Any) -> None:
     """Evolve a skill: collect data, fit Γ and C, evolve, and test it in the world.
@@ -149,7 +184,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     fresh scenarios and improves it on those that it failed, until the target is reached.
     """
     # Torch takes a second to import, so that help and usage errors come without it.
-    with importing():
+    with common.importing():
         from cgtorch.commands.training import begin, carry_on
         from cgtorch.domains.live import driver_of
         from cgtorch.ground.distributed import together
@@ -166,35 +201,28 @@ def command(context: click.Context, /, **options: Any) -> None:
     if "target" in aims and "target_return" in of_domain:
         wanted["target_return"] = aims.pop("target")
     overrides = _overrides(context, {*NAMES, *of_domain}, options["override"])
-    request, quiet = (
-        TrainingRequest(
-            stage=options["stage"],
-            goal=aims,
-            budget=_budget(options["budget"]),
-            device=options["device"],
-            checkpoint_seconds=options["checkpoint_seconds"],
-        ),
-        options["quiet"],
+    request = TrainingRequest(
+        stage=options["stage"],
+        goal=aims,
+        budget=_budget(options["budget"]),
+        device=options["device"],
+        checkpoint_seconds=options["checkpoint_seconds"],
     )
+    actions, domain, quiet = options["actions"], options["domain"], options["quiet"]
     if options["resume"]:
         if "run_dir" in given:
             raise SettingsError("--run-dir cannot change in a run that has begun; leave it out")
-        spec = options["domain"] if "domain" in given else None
+        spec = domain if "domain" in given else None
         with together():
-            driver = options["driver"] or None
-            run = read_run(options["resume"], options["actions"], spec, driver)
+            run = read_run(options["resume"], actions, spec, options["driver"] or None)
             carry_on(run, wanted, overrides, request, quiet)
         return
     if overrides:
         raise SettingsError("--override is for a run that has begun; add --resume RUN")
     domain_settings = own(**{k: v for k, v in wanted.items() if k in of_domain})
     values = {name: options[name] for name in settings & set(NAMES)}
-    run_settings = RunSettings(
-        **values,
-        actions=tuple(options["actions"]),
-        domain=options["domain"],
-        driver=options["driver"] or driver_of(options["domain"]),
-    )
+    driver = options["driver"] or driver_of(domain)
+    run_settings = RunSettings(**values, actions=tuple(actions), domain=domain, driver=driver)
     folder = options["run_dir"] or Path("runs") / f"seed-{run_settings.seed}"
     with together():
         begin(folder, run_settings, domain_settings, request, quiet)
@@ -232,7 +260,7 @@ def _overrides(context: click.Context, known: set[str], words: Sequence[str]) ->
     return found
 
 
-main = partial(run_command, command)
+main = partial(common.run_command, command)
 
 if __name__ == "__main__":
     main()

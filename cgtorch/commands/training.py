@@ -1,19 +1,19 @@
-"""The work of `cgtorch-train`, after its options are parsed: what it says before and after."""
+"""The work of `cgtorch-train`, after its options are parsed, and what it says before and after."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from cgtorch.commands import guidance
-from cgtorch.commands.command import resumable
-from cgtorch.domains.registry import with_name
+from cgtorch.commands.common import resumable
+from cgtorch.domains.registry import TABLETOP, is_code, with_name
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.ground import distributed as ranks
 from cgtorch.report import ProgressDisplay, final_table
 from cgtorch.report.event_messages import asked_of
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.training.auto import reached
 from cgtorch.training.session import (
@@ -25,6 +25,7 @@ from cgtorch.training.session import (
     prepared,
     resumed,
 )
+from cgtorch.training.stages import stages_to_make
 
 
 def begin(
@@ -47,19 +48,56 @@ def carry_on(
 
 
 def _train(work: Work, quiet: bool) -> None:
-    display = ProgressDisplay(quiet=quiet or not ranks.first())
-    with resumable(guidance.resuming(work.run)), display:
+    run, quiet = work.run, quiet or not ranks.first()
+    with resumable(_resuming(run)), ProgressDisplay(quiet=quiet) as display:
         if work.new:
-            for line in guidance.before(work):
+            for line in _before(work):
                 display.say(line, style="bold" if line.startswith("New") else "")
         outcome = carry_out(work, display)
-        display.say(f"run {work.run.folder} {_end(outcome)}")
-        display.say(asked_of("robot" if work.run.domain.live else "world", outcome.purse))
+        display.say(f"run {run.folder} {_end(outcome)}")
+        display.say(asked_of("robot" if run.domain.live else "world", outcome.purse))
     if ranks.first():
-        Console().print(final_table(outcome.results, work.run.domain))
-    with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
-        for line in guidance.after(work):
+        Console().print(final_table(outcome.results, run.domain))
+    with ProgressDisplay(quiet=quiet) as display:
+        for line in _after(work) if run.stages else ():
             display.say(line)
+
+
+def _aim(work: Work) -> float:
+    """The share of scenarios, or the mean return, to reach in rounds."""
+    domain = work.run.domain
+    return domain.target_return if domain.rewarded else work.goal.target
+
+
+def _before(work: Work) -> Iterator[str]:
+    """What a new run will do, and where to watch it."""
+    run, settings = work.run, work.run.settings
+    about = f"domain {settings.domain}, seed {settings.seed}"
+    if work.auto:
+        until = f"evolve skills until the target of {_aim(work):.4g} is met"
+        takes = f"No round begins after {work.goal.minutes:g} minutes (--minutes)."
+    else:
+        until = f"evolve one skill for each of {', '.join(stages_to_make(run, work.stage))}"
+        takes = "The time depends on the domain."
+        if settings.domain == TABLETOP:
+            takes = (
+                "On two quiet cores, S0 to S2 take some 10 seconds, S0 to S3 some 15, and about "
+                "ten times as long in physics (--world mujoco)."
+            )
+    yield f"New run {run.folder}: {until} ({about})."
+    if run.learns:
+        read = "Read the data that you give" if settings.data else ""
+        collect = "collect more" if read else "Collect data"
+        parts = ", ".join(part for part in (read, settings.transitions and collect) if part)
+        yield f"  1. {parts}, and fit the transition model Γ and the success classifier C."
+        yield "  2. Evolve skills inside Γ and C, and try the best of them in the world."
+        yield "  3. Accept a skill if it forgets nothing and solves something new."
+    else:
+        yield "  1. Evolve skills in the world itself; no models are learned."
+        yield "  2. Accept a skill if it forgets nothing and solves something new."
+    yield f"  {takes} Progress appears here, and in TensorBoard:"
+    yield f"    tensorboard --logdir {run.folder}"
+    yield f"  Ctrl-C stops the run, and this command continues it: {_resuming(run)}"
 
 
 def _end(outcome: Outcome) -> str:
@@ -72,9 +110,43 @@ def _end(outcome: Outcome) -> str:
     if not work.auto:
         return f"is complete up to {work.stage}"
     rounds = results[len(results) - len(work.run.rounds) :]
-    aim = work.run.domain.target_return if work.run.domain.rewarded else work.goal.target
     if reached(work.goal, rounds):
-        return f"has reached its goal of {aim:.4g}"
+        return f"has reached its goal of {_aim(work):.4g}"
     if not rounds:
         return "has made no round; raise --minutes"
-    return f"has not reached its goal of {aim:.4g}; continue with --resume"
+    return f"has not reached its goal of {_aim(work):.4g}; continue with --resume"
+
+
+def _after(work: Work) -> Iterator[str]:
+    """Whether the last skill has each additional action, and what to look at next."""
+    run, code = work.run, _code(work.run)
+    if added := set(run.actions.names) - set(run.domain.actions().names):
+        _, skill = last_skill(run.folder, run.settings.actions, run.settings.domain)
+        for name in sorted(added):
+            yield (
+                f"{skill.name} uses the action {name}."
+                if name in skill.used_actions
+                else f"No node of {skill.name} is {name}: the search found no use for it. Another "
+                "--seed may."
+            )
+    yield "Next:"
+    yield f"  cgtorch-evaluate {run.folder}{code}  # try the skill on fresh scenarios"
+    if run.settings.domain == TABLETOP:
+        yield f"  cgtorch-view {run.folder}{code}  # watch it at work in the browser"
+    yield f"  cgtorch-report {run.folder}{code} --output report.html  # the run as one page"
+    later = [name for name in run.domain.stages if name not in run.stages]
+    if later and not work.auto:
+        yield f"  {_resuming(run)} --stage {later[-1]}  # more stages"
+
+
+def _resuming(run: StoredRun) -> str:
+    """The command that continues a run."""
+    driver = f" --driver {run.settings.driver}" if run.settings.driver else ""
+    return f"cgtorch-train --resume {run.folder}{_code(run)}{driver}"
+
+
+def _code(run: StoredRun) -> str:
+    """The options that name the user's code of a run, as opening a run imports none by itself."""
+    spec = run.settings.domain
+    domain = f" --domain {spec}" if is_code(spec) else ""
+    return domain + "".join(f" --actions {name}" for name in run.settings.actions if ":" in name)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgtorch.commands import options
-from cgtorch.commands.command import importing, run_command
+from cgtorch.commands import common
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.ground.errors import SettingsError
 
@@ -28,20 +27,16 @@ Examples:
 """
 
 
-@click.command(
-    "cgtorch-view",
-    epilog=options.epilog(EXAMPLES),
-    short_help="Watch a skill at work in the browser.",
-)
-@options.run_or_skill
+@common.command("cgtorch-view", EXAMPLES, short_help="Watch a skill at work in the browser.")
+@common.run_or_skill
 @click.option(
     "--against",
     metavar="RUN_OR_SKILL",
-    type=click.Path(path_type=Path),
+    type=common.A_PATH,
     shell_complete=runs_or_skills,
     help="A second skill, shown beside the first one on the same scenario.",
 )
-@options.scenario_options(
+@common.scenario_options(
     "The kind of scenarios shown first: near, left, right, far and perimeter (the paper's "
     "table), general (any table, from any side) or general-clutter (half of them with a box in "
     "the way).  [the run's]",
@@ -49,8 +44,8 @@ Examples:
     seed="Seed of the scenarios and of their noise.",
     most=10_000,
 )
-@options.skill_option
-@options.world_option
+@common.skill_option
+@common.world_option
 @click.option(
     "--film",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -58,13 +53,12 @@ Examples:
     "instead, and exit.",
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
-@options.number_option(
+@common.number_option(
     "--port",
     click.IntRange(0, 65535),
     8080,
     "Port to listen on. If it is taken, the next free one is used. 0: any free one.",
 )
-@options.common_options
 def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: Any) -> None:
     """Watch a skill at work in the browser, step by step, until Ctrl-C.
 
@@ -73,24 +67,32 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
     the graph, the percept and the message. On the page you can choose another scenario, drag the
     object, and take any other skill of the run.
     """
-    if rest["film"] is not None:
-        _film(rest["film"], path, scenarios, count, seed, rest)
-        return
-    if find_spec("viser") is None:
+    film, other, quiet = rest["film"], rest["against"], rest["quiet"]
+    if film is not None and film.suffix not in (".gif", ".webp"):
+        raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
+    if film is None and find_spec("viser") is None:
         raise SettingsError("cgtorch-view needs package 'viser'; pip install 'cgtorch[view]'")
-    with importing():
+    if film is not None:
+        common.draw_without_display()
+    with common.importing():
         import torch
 
+    torch.set_num_threads(1)
+    world = rest["world"] if film is None else "mujoco"
+    about = rest["actions"], scenarios, world
+    with common.waiting(f"loading {path}", quiet):
+        chosen, candidates = _offer(path, rest["name"], *about)
+    if film is not None:
+        _film(film, chosen, candidates[chosen.skill.name], count, seed, quiet)
+        return
+    with common.importing():
         from cgtorch.tabletop.viewer.page import Wish, open_page, play_for_ever
         from cgtorch.tabletop.world import draw_of
 
-    torch.set_num_threads(1)
-    with options.waiting(f"loading {path}", rest["quiet"]):
-        chosen, candidates = _offer(path, rest["name"], rest["actions"], scenarios, rest["world"])
     draw_of(chosen.kind)  # there must be such scenarios
-    against, other = None, rest["against"]
+    against = None
     if other is not None:
-        another, more = _offer(other, None, rest["actions"], scenarios, rest["world"])
+        another, more = _offer(other, None, *about)
         taken = candidates if _folder(other, another) != _folder(path, chosen) else ()
         names = {n: f"{n} of {other}" if n in taken else n for n in more}
         against = names[another.skill.name]
@@ -103,27 +105,18 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
 
 
 def _film(
-    film: Path, path: Path, scenarios: str | None, count: int, seed: int, rest: dict[str, Any]
+    path: Path, chosen: "Chosen", candidate: "Candidate", count: int, seed: int, quiet: bool
 ) -> None:
     """Write an animated picture of a skill, drawn by MuJoCo's renderer."""
-    if film.suffix not in (".gif", ".webp"):
-        raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
-    options.draw_without_display()
-    with importing():
-        import torch
+    from cgtorch.ground.files import write_bytes
+    from cgtorch.tabletop.physics.film import film_of
+    from cgtorch.tabletop.viewer.execution import scenario_of
 
-        from cgtorch.ground.files import write_bytes
-        from cgtorch.tabletop.physics.film import film_of
-        from cgtorch.tabletop.viewer.execution import scenario_of
-
-    torch.set_num_threads(1)
-    chosen, candidates = _offer(path, rest["name"], rest["actions"], scenarios, "mujoco")
     scenario = scenario_of(chosen.kind, count, seed, 0)
-    with options.waiting(f"filming {chosen.skill.name}", rest["quiet"]):
-        candidate = candidates[chosen.skill.name]
-        end, data = film_of(candidate.skill, candidate.domain, scenario, film.suffix[1:])
-    write_bytes(film, data)
-    click.echo(f"{chosen.skill.name} ends in {end}: {film}, {len(data)} bytes")
+    with common.waiting(f"filming {chosen.skill.name}", quiet):
+        end, data = film_of(candidate.skill, candidate.domain, scenario, path.suffix[1:])
+    write_bytes(path, data)
+    click.echo(f"{chosen.skill.name} ends in {end}: {path}, {len(data)} bytes")
 
 
 def _folder(path: Path, chosen: "Chosen") -> Path:
@@ -150,19 +143,18 @@ def _offer(
             "cgtorch-report"
         )
     chosen = chosen_skill(path, name, actions, scenarios)
-    domain, run = chosen.domain, chosen.run
+    domain, run, skills = chosen.domain, chosen.run, {}
     if world is not None:
         domain = domain.in_world(world)
     assert isinstance(domain, Tabletop)  # noqa: S101  it is about no other
-    skills = {chosen.skill.name: chosen.skill}
     if run is not None:
         names = [line["name"] for line in read_index(run.folder)]
-        entries = {n: read_entry(run.folder, n, run.actions, run.like()).skill for n in names}
-        skills = entries | skills
+        skills = {n: read_entry(run.folder, n, run.actions, run.like()).skill for n in names}
+    skills |= {chosen.skill.name: chosen.skill}
     return chosen, {n: Candidate(s, domain) for n, s in skills.items()}
 
 
-main = partial(run_command, command)
+main = partial(common.run_command, command)
 
 if __name__ == "__main__":
     main()

@@ -10,8 +10,7 @@ import click
 import pytest
 from rich.console import Console
 
-from cgtorch.commands.command import resumable, run_command
-from cgtorch.commands.options import waiting
+from cgtorch.commands.common import resumable, run_command, waiting
 from cgtorch.ground.processes import counted
 
 

@@ -9,7 +9,7 @@ import torch
 from solvability.finer import finer_search
 from torch import Generator, Tensor
 
-from cgtorch.commands.options import waiting
+from cgtorch.commands.common import waiting
 from cgtorch.tabletop.data import Scenes, label
 from cgtorch.tabletop.data.poses import poses_at_object
 from cgtorch.tabletop.domain import Tabletop

@@ -6,7 +6,7 @@ import time
 from functools import partial
 from pathlib import Path
 
-from cgtorch.commands.options import waiting
+from cgtorch.commands.common import waiting
 from cgtorch.ground.files import read_json, write_json
 from cgtorch.runs.skills import last_skill
 from cgtorch.tabletop.world import EDGES

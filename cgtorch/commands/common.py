@@ -1,0 +1,263 @@
+"""What all commands share: quick imports, errors in one line, options, and signs of progress."""
+
+import ctypes
+import gc
+import itertools
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from ctypes.util import find_library
+from functools import reduce
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn, TypeVar
+
+import click
+
+from cgtorch.commands import completion
+from cgtorch.ground.errors import CgtorchError, RunError
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def import_from_here(specs: Sequence[str]) -> None:
+    """Let "module:Class" name a module in the current folder, as `python -m` does."""
+    if any(":" in spec for spec in specs) and "" not in sys.path:
+        sys.path.insert(0, "")
+
+
+@contextmanager
+def importing() -> Iterator[None]:
+    """A context for slow imports, without garbage collection, which saves a sixth of the time."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+@contextmanager
+def resumable(command: str) -> Iterator[None]:
+    """A context for work that another command continues, which an interrupt then says."""
+    try:
+        yield
+    except BaseException as e:
+        e.add_note(f"finished work is kept; continue with {command}")
+        raise
+
+
+def run_command(command: click.Command) -> None:
+    """Run a command and exit: 0 done, 1 not achieved, 2 bad input, with one line on stderr."""
+    name = command.name or "cgtorch"
+    # A thread that cannot write, such as TensorBoard's, stops the command, which says so once.
+    previous, threading.excepthook = threading.excepthook, _report_thread
+    terminates = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        command.main(prog_name=name, standalone_mode=False)
+    except click.exceptions.Exit as e:
+        sys.exit(e.exit_code)
+    except click.ClickException as e:
+        context = e.ctx if isinstance(e, click.UsageError) else None
+        called = name if context is None else context.command_path
+        _end(called, f"{e.format_message().rstrip('.')}; see {called} --help", 2)
+    except CgtorchError as e:
+        _end(name, str(e), 1 if isinstance(e, RuntimeError) else 2)
+    except (KeyboardInterrupt, click.Abort, ctypes.ArgumentError) as e:
+        # ctypes raises an error of its own for a Ctrl-C in its midst.
+        if isinstance(e, ctypes.ArgumentError) and KeyboardInterrupt.__name__ not in str(e):
+            raise
+        notes = (getattr(each, "__notes__", ()) for each in (e, e.__cause__))  # click wraps errors
+        _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
+    except OSError as e:
+        where = f" {str(e.filename)[:200]!r}" if e.filename else ""
+        reason = e.strerror or type(e).__name__
+        _end(name, f"cannot read or write{where} ({reason}); check the path and the disk", 2)
+    except Exception as e:
+        _end_in_foreign_code(name, e)
+        raise
+    finally:
+        threading.excepthook = previous
+        signal.signal(signal.SIGTERM, terminates)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    """Treat a request to terminate like Ctrl-C."""
+    raise KeyboardInterrupt
+
+
+def _report_thread(thread: threading.ExceptHookArgs) -> None:
+    if not issubclass(thread.exc_type, OSError):
+        threading.__excepthook__(thread)
+
+
+def _end_in_foreign_code(name: str, error: Exception) -> None:
+    """End the command if the error comes from code of the user's own; else return."""
+    if "torch" in sys.modules:  # without it, nothing of the user's has been called
+        from cgtorch.ground.dry_run import failed_at, reason
+
+        if place := failed_at(error):
+            notes = itertools.chain([f"{reason(error)}{place}"], getattr(error, "__notes__", ()))
+            _end(name, "; ".join(notes), 1)
+
+
+def _end(name: str, message: str, code: int) -> NoReturn:
+    click.echo(f"{name}: {' '.join(message.split())}", err=True)
+    sys.exit(code)
+
+
+def epilog(examples: str) -> str:
+    """The end of a command's help: its examples and exit codes."""
+    codes = "Exit codes: 0 done; 1 the task failed or was interrupted; 2 bad input."
+    return f"{examples.rstrip()}\n\n{codes}"
+
+
+def _print_script(context: click.Context, parameter: click.Parameter, shell: str | None) -> None:
+    if shell is not None and not context.resilient_parsing:
+        click.echo(completion.script(shell))
+        context.exit()
+
+
+def importable(context: click.Context, parameter: click.Parameter, specs: Any) -> Any:
+    """Let code of the user's be imported from the current folder."""
+    import_from_here(specs if isinstance(specs, tuple) else [specs or ""])
+    return specs
+
+
+completion_option = click.option(
+    "--completion",
+    type=click.Choice(completion.SHELLS),
+    expose_value=False,
+    is_eager=True,
+    callback=_print_script,
+    help="Print the script that completes all commands in this shell, then exit.",
+)
+COMMON = (
+    click.option(
+        "--actions",
+        multiple=True,
+        shell_complete=completion.declared_actions,
+        callback=importable,
+        help="Additional action for skills: a name or package.module:Class. Repeat the option for "
+        "several actions.",
+    ),
+    click.option("--quiet", is_flag=True, help="Print the result only, without progress."),
+    click.version_option(package_name="cgtorch"),
+    completion_option,
+)
+
+
+def command(name: str, examples: str, **how: Any) -> Callable[[Callable[..., None]], click.Command]:
+    """Decorator: a command whose help has examples, and which has the options of every command."""
+
+    def made(function: Callable[..., None]) -> click.Command:
+        decorate: Any = click.command(name, epilog=epilog(examples), **how)
+        found: click.Command = decorate(function)
+        for option in COMMON:
+            option(found)
+        return found
+
+    return made
+
+
+A_PATH = click.Path(path_type=Path)
+run_or_skill = click.argument(
+    "path", metavar="RUN_OR_SKILL", type=A_PATH, shell_complete=completion.runs_or_skills
+)
+skill_option = click.option(
+    "--skill",
+    "name",
+    shell_complete=completion.ledger_names,
+    help="Use this skill of the run's ledger in place of the last one.",
+)
+domain_option = click.option(
+    "--domain",
+    shell_complete=completion.domains,
+    callback=importable,
+    help="The domain as package.module:Class, if the run's domain is your own code. For a skill "
+    "file: the domain of the skill.  [tabletop]",
+)
+world_option = click.option(
+    "--world",
+    help="The world to try the skill in. The tabletop has kinematic and mujoco (physics)."
+    "  [that of the run]",
+)
+force_option = click.option("--force", is_flag=True, help="Replace the file if it exists.")
+
+
+def output_option(what: str) -> Callable[[F], F]:
+    """Decorator: the option for the file or folder to write."""
+    return click.option("--output", type=A_PATH, required=True, help=what)
+
+
+def check_output(output: Path, force: bool) -> None:
+    """RunError if the output is a folder, or a file that must not be replaced."""
+    if output.is_dir():
+        raise RunError(f"{str(output)!r} is a folder; choose another --output")
+    if output.exists() and not force:
+        raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
+
+
+def number_option(
+    name: str, kind: click.IntRange | click.FloatRange, default: float, what: str
+) -> Callable[[F], F]:
+    """Decorator: an option for a number within bounds."""
+    return click.option(name, type=kind, default=default, show_default=True, help=what)
+
+
+def scenario_options(scenarios: str, count: str, seed: str, most: int) -> Callable[[F], F]:
+    """Decorator: the kind of scenarios, their number (at most `most`) and seed, with their help."""
+    kind = completion.one_of(completion.SCENARIOS)
+    options = (
+        click.option("--scenarios", shell_complete=kind, help=scenarios),
+        number_option("--count", click.IntRange(1, most), 40, count),
+        number_option("--seed", click.IntRange(0, 2**31 - 1), 0, seed),
+    )
+    return lambda function: reduce(lambda f, option: option(f), reversed(options), function)
+
+
+@contextmanager
+def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Callable[[int], None]]:
+    """Show on a terminal a live line with a message, the elapsed time, and the work done.
+
+    Yields a function to call with the amount of further work done, of `total`. Long work that is
+    counted within has a line of its own until it is done (`cgtorch.ground.processes`).
+    """
+    from rich import progress as rich
+    from rich.console import Console
+
+    from cgtorch.ground.processes import listening
+
+    console = Console(stderr=True)
+    columns = [rich.SpinnerColumn(), rich.TextColumn("{task.description} …", markup=False)]
+    columns += [rich.BarColumn(24), rich.MofNCompleteColumn()] if total is not None else []
+    columns += [rich.TimeElapsedColumn()]
+    columns += [rich.TextColumn("left"), rich.TimeRemainingColumn()] if total is not None else []
+    hidden = quiet or not console.is_terminal
+    progress = rich.Progress(*columns, console=console, transient=True, disable=hidden)
+    within: dict[str, Any] = {}
+
+    def show(what: str, done: int, of: int) -> None:
+        if what not in within:
+            within[what] = progress.add_task(what, total=of)
+        progress.update(within[what], completed=done, total=of)
+        if done == of:
+            progress.remove_task(within.pop(what))
+
+    with progress, listening(show):
+        task = progress.add_task(message, total=total)
+        yield lambda more: progress.advance(task, more)
+
+
+def draw_without_display() -> None:
+    """Have MuJoCo draw by EGL, else by OSMesa, where there is no display and one is installed.
+
+    Call it before anything of a domain is imported, as MuJoCo reads the variable when imported.
+    """
+    if "DISPLAY" not in os.environ:
+        for library, name in (("EGL", "egl"), ("OSMesa", "osmesa")):
+            if find_library(library):
+                os.environ.setdefault("MUJOCO_GL", name)
