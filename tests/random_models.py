@@ -7,9 +7,8 @@ from support import FOOTPRINT, graspable, seeded
 from torch import Tensor
 
 from cgtorch.simulation import ModelEnvironment
-from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
-from cgtorch.tabletop.models.engine import compiled_models
-from cgtorch.tabletop.models.grasp_features import grasp_features
+from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel, compiled_models
+from cgtorch.tabletop.models.success import grasp_features
 from cgtorch.tabletop.world import (
     ClearMotion,
     TabletopWorld,

@@ -36,7 +36,7 @@ from cgtorch.tabletop.kinematics import (
     load_robot,
     robot_files,
 )
-from cgtorch.tabletop.models.engine import compiled_models
+from cgtorch.tabletop.models import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.transition import TableTransitionModel
 from cgtorch.tabletop.physics import MujocoWorld, Physics

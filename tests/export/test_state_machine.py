@@ -29,10 +29,15 @@ from cgtorch.export.plain import networks
 from cgtorch.graphs import ActionSet, Skill, SubSkill
 from cgtorch.simulation import rollout
 from cgtorch.tabletop import plain_edge_networks as edge_networks
-from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
+from cgtorch.tabletop.edge_networks import (
+    edge_actions,
+    edge_frame,
+    edge_way_actions,
+    motion_to,
+    scene,
+)
 from cgtorch.tabletop.kinematics import load_robot
 from cgtorch.tabletop.world import draw_of
-from cgtorch.tabletop.world.edge_frame import edge_frame, motion_to, scene
 from cgtorch.tabletop.world.routes import first_motion
 
 

@@ -7,13 +7,16 @@ from cgtorch.ground.environment import start_lanes
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.edge_networks import (
+    SCENE,
     EdgeBranchingNN,
     EdgeNN,
     EdgeWayNN,
     edge_actions,
+    edge_frame,
     edge_way_actions,
+    motion_to,
+    scene,
 )
-from cgtorch.tabletop.world.edge_frame import SCENE, edge_frame, motion_to, scene
 from cgtorch.tabletop.world.routes import first_motion
 
 

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.plain_models import Array, PlainModels, sklearn_svc, sklearn_svr
-from cgtorch.tabletop.world.clear_motion import MAX_TRANSLATION
-from cgtorch.tabletop.world.sweep import TURN_STEP
+from cgtorch.tabletop.world.clear_motion import MAX_TRANSLATION, TURN_STEP
 
 Mask = NDArray[np.bool_]
 TURNS = math.ceil(math.pi / TURN_STEP)

@@ -13,8 +13,7 @@ import numpy as np
 
 from benchmarks.plain_models import Array, PlainModels, sklearn_svc, sklearn_svr
 from cgtorch.graphs import NO_NODE, ActionSet, Graphs
-from cgtorch.tabletop.world.clear_motion import MAX_TRANSLATION
-from cgtorch.tabletop.world.sweep import TURN_STEP
+from cgtorch.tabletop.world.clear_motion import MAX_TRANSLATION, TURN_STEP
 
 Row: TypeAlias = list[float]
 TURNS = math.ceil(math.pi / TURN_STEP)

@@ -10,8 +10,7 @@ from solvability.finer import finer_search
 from torch import Generator, Tensor
 
 from cgtorch.commands.common import waiting
-from cgtorch.tabletop.data import Scenes, label
-from cgtorch.tabletop.data.poses import poses_at_object
+from cgtorch.tabletop.data import Scenes, label, poses_at_object
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics.grasping import within_reach
 from cgtorch.tabletop.physics import Physics, Thing

@@ -3,3 +3,4 @@
 from cgtorch.tabletop.models import geometry as geometry
 from cgtorch.tabletop.models.success import GraspClassifier as GraspClassifier
 from cgtorch.tabletop.models.transition import TableTransitionModel as TableTransitionModel
+from cgtorch.tabletop.models.transition import compiled_models as compiled_models

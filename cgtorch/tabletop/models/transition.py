@@ -13,11 +13,13 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.transition import Grid, HeldOut, TransitionModel
 from cgtorch.ground.fields import Field
-from cgtorch.native import function, structure
+from cgtorch.native import alike, function, structure
+from cgtorch.simulation import CompiledModels, ModelEnvironment
 from cgtorch.svm import SVR, grid_search
 from cgtorch.svm.compiled import LOG2E, threads_for
 from cgtorch.tabletop.models import geometry
-from cgtorch.tabletop.models.compiled_machine import compiled_machine
+from cgtorch.tabletop.models.success import GraspClassifier, compiled_machine
+from cgtorch.tabletop.world.clear_motion import ClearMotion, body_structure
 from cgtorch.tabletop.world.percepts import parts_of, percept_fields
 
 DECISIVE = 0.03
@@ -187,3 +189,22 @@ def _silence(machine: SVR, rows: Tensor) -> None:
     machine.centres, machine.support = rows[some].clone(), some
     machine.weights = rows.new_zeros(len(some), 1)
     machine.bias, machine.gap, machine.cost = (rows.new_zeros(1) for _ in range(3))
+
+
+def compiled_models(e: ModelEnvironment) -> CompiledModels | None:
+    """Γ, C and the check of motions for compiled rollouts, or None if they are not compiled."""
+    gamma, classifier = getattr(e.gamma, "__self__", None), e.classifier
+    if not (type(gamma) is TableTransitionModel and type(classifier) is GraspClassifier):
+        return None
+    if type(e.possible) is not ClearMotion or e.gamma != gamma.predict_with_novelty:
+        return None
+    percepts, footprint = e.percepts, e.possible.footprint
+    first, second = gamma.compiled(percepts, percepts[:, :3]), classifier.compiled(percepts)
+    if first is None or second is None or not alike(percepts, footprint) or e.control_size != 3:
+        return None
+    models = structure("TabletopModels", percepts.dtype)(
+        gamma=first, classifier=second, body=body_structure(footprint)
+    )
+    return CompiledModels(
+        "tabletop", percepts.dtype, models, ("DOMAIN_NN", "DOMAIN_OTHER_NN", "DOMAIN_BRANCHING")
+    )

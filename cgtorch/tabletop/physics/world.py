@@ -25,9 +25,9 @@ from cgtorch.tabletop.physics.model import Model, Thing, Watch, build
 from cgtorch.tabletop.physics.scene import Scene
 from cgtorch.tabletop.world.clear_motion import motion_possible
 from cgtorch.tabletop.world.geometry import moved, rectangle_in_frame, wrap
-from cgtorch.tabletop.world.observed import LAB_NOISE, Noise, ObservedTabletop
 from cgtorch.tabletop.world.percepts import TABLETOP
 from cgtorch.tabletop.world.scenarios import Scenarios
+from cgtorch.tabletop.world.tabletop import LAB_NOISE, Noise, ObservedTabletop
 
 Simulate: TypeAlias = Callable[["Physics", Tensor], Tensor]
 """Maps rows of inputs (n, Q) to rows of results (n, A), independently."""

@@ -21,7 +21,7 @@ from cgtorch.tabletop.viewer.execution import Candidate, execute, put_object, sc
 from cgtorch.tabletop.viewer.scene import Scene, headline, levels_html, readings_html
 from cgtorch.tabletop.viewer.timeline import FPS, Timeline, simulated_timeline, timeline_of
 from cgtorch.tabletop.world import Scenarios
-from cgtorch.tabletop.world.general import DRAWS
+from cgtorch.tabletop.world.scenarios import DRAWS
 
 NONE = "nothing"
 NOTHING = '<p style="padding:6px 12px">Choose a skill to compare with.</p>'

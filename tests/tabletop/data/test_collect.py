@@ -11,9 +11,7 @@ from torch import Tensor
 
 from cgtorch.ground.environment import Dataset, Lanes
 from cgtorch.ground.errors import DataError, SettingsError
-from cgtorch.tabletop.data import Scenes, collect
-from cgtorch.tabletop.data.collect import drive
-from cgtorch.tabletop.data.poses import ARENA, in_table, poses_around
+from cgtorch.tabletop.data import ARENA, Scenes, collect, drive, in_table, poses_around
 from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, stage_scenarios
 from cgtorch.tabletop.world.scenarios import TABLE_DEPTH, TABLE_WIDTH
 

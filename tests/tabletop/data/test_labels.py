@@ -8,9 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import FOOTPRINT, graspable, seeded
 
-from cgtorch.tabletop.data import Scenes, grasp_labels, label
-from cgtorch.tabletop.data.labels import nearest_to_boundary
-from cgtorch.tabletop.data.poses import REACH, in_table, poses_around, poses_at_object
+from cgtorch.tabletop.data import (
+    NEAR,
+    Scenes,
+    grasp_labels,
+    in_table,
+    label,
+    nearest_to_boundary,
+    poses_around,
+    poses_at_object,
+)
 from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld
 
 EXACT = Noise(0, 0)
@@ -47,8 +54,8 @@ def test_poses_at_the_object_are_free_within_reach_and_on_all_sides() -> None:
     assert not in_table(scenarios, torch.tensor(FOOTPRINT)).any()
     offset = scenarios.pose[:, :2] - scenarios.object
     distance = offset.norm(dim=1)
-    assert (distance >= REACH[0] - 1e-5).all()
-    assert (distance <= REACH[1] + 1e-5).all()
+    assert (distance >= NEAR[0] - 1e-5).all()
+    assert (distance <= NEAR[1] + 1e-5).all()
     for side in (offset[:, 0] < -0.4, offset[:, 0] > 0.4, offset[:, 1] < -0.4, offset[:, 1] > 0.4):
         assert int(side.sum()) > 60
     turned = scenarios.pose[:, 2].div(math.pi / 2).floor().long() + 2

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from stand_in import labelled
 
-from cgtorch.tabletop.models.grasp_features import grasp_features, used_features
+from cgtorch.tabletop.models.success import grasp_features, used_features
 
 
 def test_gradients_equal_finite_differences():

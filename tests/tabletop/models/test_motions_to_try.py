@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from reaching import TABLE
 from support import seeded, world
 
-from cgtorch.tabletop.data import WITHIN, motions_to_try, random_motions
-from cgtorch.tabletop.data.motions import BLIND, FARTHEST, NEAR
+from cgtorch.tabletop.data import BLIND, FARTHEST, NEAR, WITHIN, motions_to_try, random_motions
 
 PERCEPTS = world(0, 40).start(torch.arange(40))[1]
 

@@ -13,8 +13,8 @@ from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import Detect
 from cgtorch.tabletop.viewer.execution import FROM_EDGE, Step, execute, put_object, scenario_of
 from cgtorch.tabletop.world import draw_of
-from cgtorch.tabletop.world.general import DRAWS
 from cgtorch.tabletop.world.geometry import rotate
+from cgtorch.tabletop.world.scenarios import DRAWS
 
 COUNT = 6
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from support import seeded
 from torch import Tensor
 
+from cgtorch.tabletop.edge_networks import NOWHERE, edge_frame, motion_to, scene, scene_size
 from cgtorch.tabletop.world import Scenarios, cluttered_scenarios
-from cgtorch.tabletop.world.edge_frame import NOWHERE, edge_frame, motion_to, scene, scene_size
 from cgtorch.tabletop.world.geometry import moved, rotate
 from cgtorch.tabletop.world.percepts import obstacles_seen, percept_of, side_seen
 

@@ -17,7 +17,7 @@ from cgtorch.tabletop.world import (
     draw_of,
     general_scenarios,
 )
-from cgtorch.tabletop.world.general import Draw, beside
+from cgtorch.tabletop.world.scenarios import Draw, beside
 
 COUNT = 2000
 

@@ -11,7 +11,7 @@ from shapely import Polygon, affinity, box, distance, union_all
 from support import FOOTPRINT
 from torch import Tensor
 
-from cgtorch.tabletop.world.sweep import TURN_STEP, sweep_blocked
+from cgtorch.tabletop.world.clear_motion import TURN_STEP, sweep_blocked
 
 metres = st.floats(-2, 2)
 angles = st.floats(-2 * math.pi, 2 * math.pi)
