@@ -6,6 +6,7 @@ For each count of islands: what was told, and what it came to or what was kept o
 import hashlib
 import json
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,8 @@ from support import model, search, seeded, stochastic_actions
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.ground import distributed as ranks
 from cgtorch.improvement.events import Event, GenerationDone
-from cgtorch.improvement.setup import Stage
+from cgtorch.improvement.setup import Budget
 from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.stopping import Budget
 from cgtorch.runs.journal import FileJournal
 from cgtorch.svm.storage import notes_of
 
@@ -42,7 +42,7 @@ def evolved(folder: Path, islands: int, stop: int) -> list[Any]:
 
     with suppress(KeyboardInterrupt), FileJournal(folder, seconds=0) as journal:
         setup = search(stochastic_actions(), settings, BUDGET, journal)
-        stage = Stage(setup, "S0", generator, watch)
+        stage = replace(setup, name="S0", generator=generator, watch=watch)
         best = evolve_candidate(stage, "x", model(0, 7))
         champion, solved = best.champion, best.solved
         after = torch.rand(3, generator=generator)  # what follows an evolution draws from it, too

@@ -11,8 +11,7 @@ from torch import Tensor
 from cgtorch.domains.knowledge import Knowledge, fit_models, learn
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.ground.environment import Dataset
-from cgtorch.improvement.setup import Setup
-from cgtorch.improvement.stopping import Budget
+from cgtorch.improvement.setup import Budget, Setup
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.domain import Tabletop

@@ -25,8 +25,7 @@ from cgtorch.graphs import (
 )
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.improvement.checkpoint import Journal
-from cgtorch.improvement.setup import Setup
-from cgtorch.improvement.stopping import Budget
+from cgtorch.improvement.setup import Budget, Setup
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun, planned_run, write_run
 from cgtorch.simulation import ModelEnvironment

@@ -28,8 +28,7 @@ from cgtorch.evolution import EvolutionSettings, tournament
 from cgtorch.ground.files import read_json, write_bytes, write_json
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 from cgtorch.improvement.grow import grow
-from cgtorch.improvement.setup import Progress, Setup, Stage
-from cgtorch.improvement.stopping import Budget
+from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.stored_run import StoredRun, planned_run, read_run, round_name, write_run
@@ -181,7 +180,7 @@ def grow_once(
     left = replace(setup.budget, transitions=end - meter.transitions)
     once = replace(setup, attempts=1, budget=left)
     nothing = progress.missed[:0]  # all that is to be solved is in M already
-    stage = Stage(once, name, generator, meter)
+    stage = replace(once, name=name, generator=generator, watch=meter)
     return grow(stage, progress, nothing, lambda *_: nothing)
 
 

@@ -34,8 +34,8 @@ from cgtorch.graphs import (
 from cgtorch.ground.environment import Dataset, Environment, Rewarded, ScenarioBatch
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.fields import Field
-from cgtorch.improvement.grouping import local_group
-from cgtorch.improvement.interfaces import Grouping
+from cgtorch.improvement.compose import local_group
+from cgtorch.improvement.setup import Grouping
 from cgtorch.simulation.model import anything
 
 if TYPE_CHECKING:

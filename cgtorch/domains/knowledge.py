@@ -14,7 +14,7 @@ from cgtorch.domains.learned_model import LearnedModel
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
-from cgtorch.evolution.islands import derived_generator
+from cgtorch.evolution.search import derived_generator
 from cgtorch.ground.environment import Dataset
 from cgtorch.ground.processes import in_processes
 from cgtorch.ground.statistics import Acceptance, accept_model

@@ -1,6 +1,7 @@
 """Algorithm 2: evolution of computational graphs, with the whole population in batched tensors."""
 
 from cgtorch.evolution.ask_and_tell import Search as Search
+from cgtorch.evolution.evolution import EvolutionState as EvolutionState
 from cgtorch.evolution.evolution import ask as ask
 from cgtorch.evolution.evolution import initial_state as initial_state
 from cgtorch.evolution.evolution import tell as tell
@@ -12,8 +13,7 @@ from cgtorch.evolution.fitness import Fitness as Fitness
 from cgtorch.evolution.fitness import chance_of_success as chance_of_success
 from cgtorch.evolution.fitness import episode_return as episode_return
 from cgtorch.evolution.fitness import evaluator as evaluator
-from cgtorch.evolution.islands import Island as Island
-from cgtorch.evolution.offspring import mutate as mutate
+from cgtorch.evolution.operators import mutate as mutate
 from cgtorch.evolution.population import STRATEGY as STRATEGY
 from cgtorch.evolution.population import Crossover as Crossover
 from cgtorch.evolution.population import Mutation as Mutation
@@ -29,4 +29,3 @@ from cgtorch.evolution.selection import lexicase as lexicase
 from cgtorch.evolution.selection import tournament as tournament
 from cgtorch.evolution.settings import REWARDS as REWARDS
 from cgtorch.evolution.settings import EvolutionSettings as EvolutionSettings
-from cgtorch.evolution.state import EvolutionState as EvolutionState

@@ -70,48 +70,33 @@ def axes(covariance: Tensor) -> tuple[Tensor | None, Tensor]:
 
 def updated(distribution: Distribution, samples: Tensor, fitness: Tensor) -> Distribution:
     """The distribution after an update by samples (λ, n) and their fitness (λ,); more is better."""
-    old, n, count = distribution, len(distribution.mean), len(samples)
-    weights = _weights(count)
+    old, n, separable = distribution, len(distribution.mean), distribution.covariance.dim() == 1
+    weights = _weights(len(samples))
     mass = 1 / float(weights.square().sum())  # μ_eff
-    rates = _rates(n, mass, old.covariance.dim() == 1)
+    c_step = (mass + 2) / (n + mass + 5)
+    c_path = (4 + mass / n) / (n + 4 + 2 * mass / n)
+    c_one, c_many = _covariance_rates(n, mass, separable)
     order = fitness.argsort(descending=True, stable=True)[: len(weights)]
     steps = (samples.double()[order] - old.mean) / old.step
     shift = weights @ steps
     basis, scale = axes(old.covariance)
     white = shift / scale if basis is None else basis @ ((basis.T @ shift) / scale)
-    step_path = (1 - rates.c_step) * old.step_path + rates.step_gain * white
+    step_path = (1 - c_step) * old.step_path + math.sqrt(c_step * (2 - c_step) * mass) * white
     usual = math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))  # E|N(0, I)|
     length, updates = float(step_path.norm()), old.updates + 1
-    grown = math.sqrt(1 - (1 - rates.c_step) ** (2 * updates))
+    grown = math.sqrt(1 - (1 - c_step) ** (2 * updates))
     calm = float(length / grown < (1.4 + 2 / (n + 1)) * usual)
-    path = (1 - rates.c_path) * old.path + calm * rates.path_gain * shift
-    kept = (
-        1
-        - rates.c_one
-        - rates.c_many
-        + (1 - calm) * rates.c_one * rates.c_path * (2 - rates.c_path)
-    )
-    if old.covariance.dim() == 1:
+    path = (1 - c_path) * old.path + calm * math.sqrt(c_path * (2 - c_path) * mass) * shift
+    kept = 1 - c_one - c_many + (1 - calm) * c_one * c_path * (2 - c_path)
+    if separable:
         rank_one, rank_many = path.square(), weights @ steps.square()
     else:
         rank_one, rank_many = path.outer(path), (steps.T * weights) @ steps
-    covariance = kept * old.covariance + rates.c_one * rank_one + rates.c_many * rank_many
-    change = (rates.c_step / rates.damping) * (length / usual - 1)
+    covariance = kept * old.covariance + c_one * rank_one + c_many * rank_many
+    damping = 1 + 2 * max(0.0, math.sqrt((mass - 1) / (n + 1)) - 1) + c_step
+    change = (c_step / damping) * (length / usual - 1)
     step = old.step * math.exp(min(1.0, change))
     return Distribution(old.mean + shift * old.step, step, covariance, path, step_path, updates)
-
-
-@dataclass(frozen=True)
-class _Rates:
-    """Learning rates of the tutorial's table 1."""
-
-    c_path: float
-    c_step: float
-    c_one: float
-    c_many: float
-    damping: float
-    path_gain: float
-    step_gain: float
 
 
 def _weights(count: int) -> Tensor:
@@ -121,20 +106,10 @@ def _weights(count: int) -> Tensor:
     return weights / weights.sum()
 
 
-def _rates(n: int, mass: float, separable: bool) -> _Rates:
-    c_path = (4 + mass / n) / (n + 4 + 2 * mass / n)
-    c_step = (mass + 2) / (n + mass + 5)
+def _covariance_rates(n: int, mass: float, separable: bool) -> tuple[float, float]:
+    """The learning rates of the rank-one and the rank-μ update (the tutorial's table 1)."""
     c_one = 2 / ((n + 1.3) ** 2 + mass)
     c_many = 2 * (mass - 2 + 1 / mass) / ((n + 2) ** 2 + mass)
     if separable:
-        c_one, c_many = (rate * (n + 2) / 3 for rate in (c_one, c_many))
-        c_one = min(1.0, c_one)
-    return _Rates(
-        c_path=c_path,
-        c_step=c_step,
-        c_one=c_one,
-        c_many=min(1 - c_one, c_many),
-        damping=1 + 2 * max(0.0, math.sqrt((mass - 1) / (n + 1)) - 1) + c_step,
-        path_gain=math.sqrt(c_path * (2 - c_path) * mass),
-        step_gain=math.sqrt(c_step * (2 - c_step) * mass),
-    )
+        c_one, c_many = min(1.0, c_one * (n + 2) / 3), c_many * (n + 2) / 3
+    return c_one, min(1 - c_one, c_many)

@@ -1,23 +1,55 @@
-"""Algorithm 2 as ask and tell: pure functions on a frozen state."""
+"""Algorithm 2 as ask and tell: from one generation to the next, on a frozen state."""
+
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.evolution.alternating import next_alternating
-from cgtorch.evolution.breeding import next_population
-from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.fitness import WORST
+from cgtorch.evolution.lineages import Lineage, next_lineages, samples
+from cgtorch.evolution.operators import crossover, mutate, offspring
 from cgtorch.evolution.population import (
     Population,
+    check_offspring,
     initial_strategy,
+    join,
     seeded_population,
     slim,
 )
+from cgtorch.evolution.selection import Evaluated, lexicase
 from cgtorch.evolution.settings import EvolutionSettings
-from cgtorch.evolution.state import EvolutionState
-from cgtorch.graphs import ActionSet
+from cgtorch.graphs import ActionSet, compacted, resized
 from cgtorch.ground.dry_run import kind
 from cgtorch.ground.errors import DataError
+
+
+@dataclass(frozen=True)
+class EvolutionState:
+    """The state of an evolution, or of one of its islands.
+
+    Attributes:
+        population: The individuals to evaluate next.
+        generation: Number of generations that `tell` has received.
+        best: The best individual of the last generation, a population of one.
+        best_fitness: Its fitness, -inf before the first generation.
+        distinct_parents: Number of different parents of the population; 0 if it has none.
+        lineages: The lineages that the population was sampled from; empty if it was bred.
+        parents: While lineages run, the parents of the next population. Otherwise, further
+            individuals that will be among these.
+        fresh: Whether the next new structures are random graphs rather than children. It is used
+            with lineages only.
+        generator: The generator of all random choices.
+    """
+
+    population: Population
+    generation: int
+    best: Population
+    best_fitness: float
+    distinct_parents: int = 0
+    lineages: tuple[Lineage, ...] = ()
+    parents: Evaluated | None = None
+    fresh: bool = True
+    generator: Generator = field(default_factory=Generator)
 
 
 def initial_state(
@@ -37,14 +69,12 @@ def initial_state(
     Raises:
         GraphError: A seed has more nodes than `settings.capacity`.
     """
-    sizes = (settings.capacity, settings.initial_nodes, generator)
     if seeds is None:
-        graphs = settings.first_graphs(settings.population, actions, *sizes)
-        population = Population(graphs, initial_strategy(len(graphs)))
+        population = _random(settings, actions, generator)
     else:
-        population = seeded_population(settings.population, seeds, actions, *sizes)
-    population = slim(population)
-    return EvolutionState(population, 0, population[:1], float("-inf"))
+        sizes = settings.capacity, settings.initial_nodes, generator
+        population = slim(seeded_population(settings.population, seeds, actions, *sizes))
+    return EvolutionState(population, 0, population[:1], float("-inf"), generator=generator)
 
 
 def ask(state: EvolutionState) -> Population:
@@ -81,28 +111,7 @@ def tell(
         DataError: The fitness or the scores have a wrong shape.
         SettingsError: A crossover or mutation that you wrote returned an invalid population.
     """
-    _check(fitness, scores, len(state.population))
-    fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
-    scores = fitness[:, None] if scores is None else scores
-    scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
-    evaluated = Evaluated(state.population, fitness, scores)
-    return next_state(state, evaluated, settings, actions, generator)
-
-
-def next_state(
-    state: EvolutionState,
-    evaluated: Evaluated,
-    settings: EvolutionSettings,
-    actions: ActionSet,
-    generator: Generator,
-) -> EvolutionState:
-    """`tell` without validation: neither fitness nor scores may contain NaN."""
-    how = next_alternating if settings.lineages else next_population
-    return how(state, evaluated, settings, actions, generator)
-
-
-def _check(fitness: Tensor, scores: Tensor | None, size: int) -> None:
-    """DataError unless fitness and scores fit a population of that size."""
+    size = len(state.population)
     if not isinstance(fitness, Tensor) or fitness.shape != (size,):
         raise DataError(
             f"fitness is {kind(fitness)}; give a tensor ({size},), one number for each individual"
@@ -111,3 +120,79 @@ def _check(fitness: Tensor, scores: Tensor | None, size: int) -> None:
         raise DataError(
             f"scores are {kind(scores)}; give a tensor ({size}, B) with B of at least 1"
         )
+    fitness = torch.nan_to_num(fitness, nan=float("-inf"), neginf=float("-inf"))
+    scores = fitness[:, None] if scores is None else scores
+    scores = torch.nan_to_num(scores, nan=WORST, neginf=WORST)
+    evaluated = Evaluated(state.population, fitness, scores)
+    return next_state(replace(state, generator=generator), evaluated, settings, actions)
+
+
+def next_state(
+    state: EvolutionState, evaluated: Evaluated, settings: EvolutionSettings, actions: ActionSet
+) -> EvolutionState:
+    """`tell` without validation: neither fitness nor scores may contain NaN.
+
+    With lineages, structure and parameters take turns (`cgtorch.evolution.lineages`). While
+    lineages are running, the population consists of samples of them. Otherwise it consists
+    alternately of random graphs, and of children of all parents: children inherit what lineages
+    have tuned, so they may inherit a local optimum as well; random graphs do not.
+    """
+    parents, lineages = evaluated, state.lineages
+    if settings.lineages:
+        about = lineages, state.parents, evaluated, settings.lineages, actions
+        lineages, parents = next_lineages(*about)
+    if lineages:
+        drawn = samples(lineages, actions, state.generator)
+        state = replace(state, lineages=lineages, parents=parents)
+        return _after(state, evaluated, drawn)
+    if settings.lineages and state.fresh:
+        drawn = _random(settings, actions, state.generator)
+        few = parents.rows(parents.order[: settings.elite])
+        return _after(replace(state, lineages=(), parents=few, fresh=False), parents, drawn)
+    bred, distinct = _children(parents, settings, actions, state.generator)
+    return _after(replace(state, lineages=(), parents=None, fresh=True), parents, bred, distinct)
+
+
+def _after(
+    state: EvolutionState, evaluated: Evaluated, population: Population, distinct_parents: int = 0
+) -> EvolutionState:
+    """The state with its next population, and with the best of those that were evaluated."""
+    best = int(evaluated.order[0])
+    return replace(
+        state,
+        population=population,
+        generation=state.generation + 1,
+        best=evaluated.population[best : best + 1],
+        best_fitness=float(evaluated.fitness[best]),
+        distinct_parents=distinct_parents,
+    )
+
+
+def _random(settings: EvolutionSettings, actions: ActionSet, generator: Generator) -> Population:
+    sizes = settings.capacity, settings.initial_nodes, generator
+    graphs = settings.first_graphs(settings.population, actions, *sizes)
+    return slim(Population(graphs, initial_strategy(len(graphs))))
+
+
+def _children(
+    evaluated: Evaluated, settings: EvolutionSettings, actions: ActionSet, generator: Generator
+) -> tuple[Population, int]:
+    """The elite and the children of selected parents, and the number of different parents."""
+    population, order, scores = evaluated.population, evaluated.order, evaluated.scores
+    elite, pairs = order[: settings.elite], (settings.population - settings.elite + 1) // 2
+    home = scores.device
+    if settings.selection is not lexicase:  # others choose on the CPU
+        order, scores = order.cpu(), scores.cpu()
+    parents = settings.selection(order, scores, 2 * pairs, generator).to(home)
+    elite, distinct = elite.to(home), len(parents.unique())
+    if settings.crossover is crossover and settings.mutation is mutate:
+        sizes = settings.capacity, settings.tau, settings.population
+        return offspring(population, elite, parents, actions, generator, *sizes), distinct
+    graphs = population.graphs
+    slots = min(int(graphs.num_nodes.max()) + 1, settings.capacity)
+    sizes = slots, graphs.edges.shape[2], graphs.parameters.shape[2]
+    some = Population(resized(compacted(graphs), *sizes), population.strategy)
+    children = settings.crossover(some[parents[:pairs]], some[parents[pairs:]], generator)
+    children = settings.mutation(children, actions, generator, settings.tau)
+    check_offspring(children, 2 * pairs, settings.capacity, actions)
+    return join(slim(population[elite]), children)[: settings.population], distinct

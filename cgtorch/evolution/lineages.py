@@ -26,9 +26,9 @@ from cgtorch.evolution.cma import (
     updated,
     usual_count,
 )
-from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.population import Population, join, slim
+from cgtorch.evolution.selection import Evaluated
 from cgtorch.graphs import ActionSet, Graphs, compacted
 
 RUNGS = (5, 40)
@@ -84,6 +84,26 @@ class Lineage:
         """Whether the lineage has converged, stalled, or had its maximum number of generations."""
         tuned = self.distribution.step < LEAST_STEP or self.distribution.updates >= MOST_UPDATES
         return tuned or self.since >= STALL
+
+
+def next_lineages(
+    lineages: tuple[Lineage, ...],
+    parents: Evaluated | None,
+    evaluated: Evaluated,
+    count: int,
+    actions: ActionSet,
+) -> tuple[tuple[Lineage, ...], Evaluated]:
+    """The lineages to sample next, and what will be the parents of the next new structures.
+
+    Given are the lineages that were sampled, if any, the parents so far, what was evaluated, and
+    the number of lineages to start if none are running.
+    """
+    if not lineages:
+        after = evaluated if parents is None else evaluated.with_others(parents)
+        return new_lineages(evaluated, actions, count), after
+    assert parents is not None  # noqa: S101  they are there with lineages
+    going, ended = successive_halving(after_samples(lineages, evaluated, actions))
+    return going, with_lineages(parents, ended)
 
 
 def new_lineages(evaluated: Evaluated, actions: ActionSet, count: int) -> tuple[Lineage, ...]:

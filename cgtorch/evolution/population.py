@@ -1,8 +1,8 @@
-"""Populations: graphs with self-adapted strategies, random graphs, and checks of operators."""
+"""Populations: graphs with self-adapted strategies, random graphs, and checks of tensors."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TypeAlias
 
@@ -17,6 +17,7 @@ from cgtorch.graphs import (
     compacted,
     concatenate,
     pruned,
+    reachable,
     resized,
     trimmed,
     valid,
@@ -42,6 +43,7 @@ STRATEGY = (
 INITIAL_STRATEGY = (0.5, 0.1, 0.1, 0.1, 0.1, 0.3, 0.2, 0.5)
 TAU = 0.05  # variance of the drift in eq. 2
 STRATEGY_MIN, PROBABILITY_MAX, SIGMA_MAX = 1e-3, 1.0, 10.0
+DRAWN = 32  # graphs that `varied_graphs` draws for each one that it keeps
 
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
@@ -163,6 +165,45 @@ def random_graphs(
         action.masked_fill(~used, NO_NODE), edges, parameters.mul_(used[..., None]), start
     )
     return pruned(graphs)
+
+
+def varied_graphs(
+    size: int,
+    actions: ActionSet,
+    capacity: int,
+    initial_nodes: tuple[int, int],
+    generator: Generator,
+) -> Graphs:
+    """Random graphs of as many kinds as possible, for small populations; see `random_graphs`.
+
+    If every evaluation is an episode of the world, few graphs can be tried, and most random ones
+    are not worth it. A policy that acts for a whole episode is a loop, and a node outside the loop
+    is idle. So many graphs are drawn, and those are preferred whose nodes can all reach each other.
+    The first graph of each kind comes before the second of any. The kind of a graph is the sorted
+    list of its nodes' actions.
+    """
+    drawn = random_graphs(DRAWN * size, actions, capacity, initial_nodes, generator)
+    _, kind = drawn.action.sort(1).values.unique(dim=0, return_inverse=True)
+    group = torch.where(looping(drawn), kind, kind + len(kind))
+    rank = occurrence(group) + len(kind) * (group >= len(kind))
+    return drawn[rank.argsort(stable=True)[:size]]
+
+
+def looping(graphs: Graphs) -> Tensor:
+    """(P,) bool, whether all nodes of a graph can reach each other."""
+    every = torch.ones(len(graphs), dtype=torch.bool)
+    for node in range(graphs.capacity):
+        there = reachable(replace(graphs, start=torch.full_like(graphs.start, node)))
+        every &= ~graphs.used[:, node] | (there >= graphs.used).all(1)
+    return every
+
+
+def occurrence(group: Tensor) -> Tensor:
+    """(P,) how often the same number occurred earlier in groups (P,)."""
+    counts = group.unique(return_counts=True)[1]
+    first = (counts.cumsum(0) - counts).repeat_interleave(counts)
+    place = torch.arange(len(group)) - first
+    return torch.empty_like(group).scatter_(0, group.argsort(stable=True), place)
 
 
 def seeded_population(

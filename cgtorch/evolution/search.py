@@ -1,6 +1,14 @@
-"""Algorithm 2 as an endless stream of generations."""
+"""Algorithm 2 as an endless stream of generations, of one population or of several islands.
 
-from collections.abc import Callable, Iterator, Sequence
+Islands let a search grow beyond the memory of one machine. Each island is evaluated and bred by
+itself, with its own random numbers. Every `EvolutionSettings.migration` generations, the best tenth
+of each island replaces the worst tenth of the next island; the last island sends to the first.
+Fernández, Tomassini and Vanneschi recommend a tenth every five to ten generations ("An empirical
+study of multipopulation genetic programming", Genetic Programming and Evolvable Machines 4, 2003).
+"""
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeAlias
@@ -9,25 +17,23 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
+from cgtorch.evolution.evolution import EvolutionState, initial_state, next_state
 from cgtorch.evolution.fitness import Evaluation, evaluator
-from cgtorch.evolution.islands import (
-    Island,
-    Tried,
-    emigrants,
-    first_islands,
-    migrated,
-    next_islands,
-)
-from cgtorch.evolution.offspring import crossover, mutate
-from cgtorch.evolution.operator_checks import check_parts
+from cgtorch.evolution.operators import crossover, mutate
 from cgtorch.evolution.population import Population
-from cgtorch.evolution.settings import EvolutionSettings
-from cgtorch.graphs import ActionSet, SubSkill, check_action
+from cgtorch.evolution.selection import Evaluated
+from cgtorch.evolution.settings import EvolutionSettings, check_parts
+from cgtorch.graphs import ActionSet, Graphs, SubSkill, check_action, widened
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.dry_run import check_environment
 from cgtorch.ground.environment import Environment
 from cgtorch.native.gpu import launcher_of
 from cgtorch.simulation import MAX_TRANSITIONS
+
+MIGRANTS = 10  # one individual in so many
+
+Environments: TypeAlias = Callable[[int], Environment]
+"""Makes the environment of each generation, counted from 0. All have equally many scenarios."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +53,10 @@ class Generation:
         executed: How many of these were actually executed; the rest of a loop is only counted.
         not_finite: Number of individuals that do not count, because some of their numbers are not
             finite.
-        distinct_parents: Number of different parents of the first island; 0 for a first population
-            and for samples of lineages.
     """
 
     number: int
-    islands: Sequence[Island]
+    islands: Sequence[EvolutionState]
     fitness: Tensor
     champion: Population
     best: float
@@ -60,16 +64,16 @@ class Generation:
     transitions: int
     executed: int
     not_finite: int = 0
-    distinct_parents: int = 0
 
     @property
     def population(self) -> Population:
         """The individuals of the first island that this rank holds."""
-        return self.islands[0].state.population
+        return self.islands[0].population
 
-
-Environments: TypeAlias = Callable[[int], Environment]
-"""Makes the environment of each generation, counted from 0. All have equally many scenarios."""
+    @property
+    def distinct_parents(self) -> int:
+        """Number of different parents of that island; 0 for first ones and samples of lineages."""
+        return self.islands[0].distinct_parents
 
 
 def evolve(
@@ -80,7 +84,7 @@ def evolve(
     *,
     keep: Tensor | None = None,
     seeds: Population | None = None,
-    islands: Sequence[Island] | None = None,
+    islands: Sequence[EvolutionState] | None = None,
     max_transitions: int = MAX_TRANSITIONS,
 ) -> Iterator[Generation]:
     """Evolve without end: the caller decides when to stop iterating.
@@ -107,7 +111,7 @@ def evolve(
         SettingsError: A selection, crossover, mutation or fitness of the settings breaks its
             interface.
     """
-    begin = islands[0].state.generation if islands else 0
+    begin = islands[0].generation if islands else 0
     first = environment(begin) if callable(environment) else environment
     if keep is None:
         keep = torch.zeros(first.num_scenarios, dtype=torch.bool)
@@ -118,29 +122,42 @@ def evolve(
     check_parts(settings, actions, first, keep.device)
     count, group = settings.islands, ranks.group_of(settings.islands)
     if islands is None:
-        islands = first_islands(ranks.held(count), settings, actions, generator, seeds)
+        own = [derived_generator(generator, number) for number in ranks.held(count)]
+        islands = [initial_state(settings, actions, each, seeds) for each in own]
     home = home_of(settings, actions, keep.device)
-    islands = [placed(island, home) for island in islands]
+    islands = [replace(each, population=each.population.to(home)) for each in islands]
     about = partial(
         evaluator, actions, keep=keep, max_transitions=max_transitions, group=group,
         fitness=settings.fitness,
     )  # fmt: skip
     evaluation = about(environment=first)
     while True:
-        results = [evaluation(island.state.population.graphs) for island in islands]
-        tried = [
-            Tried(island.state.population, result.fitness, result.scores, result.succeeded)
+        results = [evaluation(island.population.graphs) for island in islands]
+        evaluated = [
+            Evaluated(island.population, result.fitness, result.scores)
             for island, result in zip(islands, results, strict=True)
         ]
-        generation = _generation(islands, tried, results, settings)
+        generation = _generation(islands, evaluated, results, settings)
         yield generation
         if count > 1 and (generation.number + 1) % settings.migration == 0:
-            leaving = [emigrants(each, settings.capacity) for each in tried]
-            arrivals = _shared(ranks.ring_shift, leaving, count)
-            tried = [migrated(*pair) for pair in zip(tried, arrivals, strict=True)]
-        islands = next_islands(islands, tried, settings, actions)
+            arrivals = _shared(ranks.ring_shift, map(emigrants, evaluated), settings)
+            evaluated = [migrated(*pair) for pair in zip(evaluated, arrivals, strict=True)]
+        pairs = zip(islands, evaluated, strict=True)
+        islands = [next_state(*pair, settings, actions) for pair in pairs]
         if callable(environment):
             evaluation = about(environment=environment(generation.number + 1))
+
+
+def derived_generator(generator: Generator, number: int) -> Generator:
+    """The generator of an island: the given one for island 0, else one derived from its state.
+
+    Nothing is drawn from the given generator, so a single island gives the results of no islands.
+    """
+    if number == 0:
+        return generator
+    state = generator.get_state().numpy().tobytes()
+    digest = hashlib.sha256(state + number.to_bytes(8, "big")).digest()
+    return Generator().manual_seed(int.from_bytes(digest[:7], "big"))
 
 
 def home_of(settings: EvolutionSettings, actions: ActionSet, device: torch.device) -> torch.device:
@@ -155,26 +172,30 @@ def home_of(settings: EvolutionSettings, actions: ActionSet, device: torch.devic
     return device if few else torch.device("cpu")
 
 
-def placed(island: Island, device: torch.device) -> Island:
-    """The island with its population on a device."""
-    if island.state.population.strategy.device == device:
-        return island
-    state = replace(island.state, population=island.state.population.to(device))
-    return replace(island, state=state)
+def emigrants(evaluated: Evaluated) -> Evaluated:
+    """The best tenth of an island, at least one individual."""
+    return evaluated.rows(evaluated.order[: max(1, len(evaluated) // MIGRANTS)])
+
+
+def migrated(evaluated: Evaluated, arrivals: Evaluated) -> Evaluated:
+    """The individuals of an island, with the worst of them replaced by `arrivals`."""
+    stay = evaluated.order[: len(evaluated) - len(arrivals)].sort().values
+    return evaluated.rows(stay).with_others(arrivals)
 
 
 def _generation(
-    islands: Sequence[Island],
-    tried: Sequence[Tried],
+    islands: Sequence[EvolutionState],
+    evaluated: Sequence[Evaluated],
     results: Sequence[Evaluation],
     settings: EvolutionSettings,
 ) -> Generation:
-    """The generation of all islands, given those that this rank holds."""
-    count, leaders = settings.islands, [each.best(1) for each in tried]
+    """The generation of all islands, given those that this rank holds and their results."""
+    count, leaders = settings.islands, []
+    for each, result in zip(evaluated, results, strict=True):
+        # What a leader solves takes the place of its scores.
+        leaders.append(replace(each, scores=result.succeeded).rows(each.order[:1]))
     if len(leaders) < count:
-        leaders = _shared(
-            ranks.all_gather_parts, [x.widened(settings.capacity) for x in leaders], count
-        )
+        leaders = _shared(ranks.all_gather_parts, leaders, settings)
     best = min(leaders, key=lambda x: (-float(x.fitness), int(x.population.graphs.num_nodes)))
     transitions, executed, not_finite = (
         int(ranks.all_gather_parts(torch.tensor(numbers), count).sum())
@@ -183,23 +204,31 @@ def _generation(
         )
     )
     return Generation(
-        number=islands[0].state.generation,
+        number=islands[0].generation,
         islands=islands,
-        fitness=tried[0].fitness,
+        fitness=results[0].fitness,
         champion=best.population.to("cpu"),
         best=float(best.fitness),
-        succeeded=best.succeeded[0].cpu(),
+        succeeded=best.scores[0].cpu(),
         transitions=transitions,
         executed=executed,
         not_finite=not_finite,
-        distinct_parents=islands[0].state.distinct_parents,
     )
 
 
 def _shared(
-    share: Callable[[Tensor, int], Tensor], mine: Sequence[Tried], count: int
-) -> list[Tried]:
+    share: Callable[[Tensor, int], Tensor],
+    mine: Iterable[Evaluated],
+    settings: EvolutionSettings,
+) -> list[Evaluated]:
     """Individuals of other islands, given equally many of each island that this rank holds."""
-    columns = zip(*(each.tensors() for each in mine), strict=True)
-    found = [share(torch.stack(column), count) for column in columns]
-    return [Tried.of(values) for values in zip(*found, strict=True)]
+    rows = []
+    for each in mine:
+        graphs = widened(each.population.graphs, settings.capacity)  # as all islands' are
+        tensors = *vars(graphs).values(), each.population.strategy, each.fitness, each.scores
+        rows.append(tensors)
+    found = [share(torch.stack(column), settings.islands) for column in zip(*rows, strict=True)]
+    return [
+        Evaluated(Population(Graphs(*tensors[:-3]), tensors[-3]), *tensors[-2:])
+        for tensors in zip(*found, strict=True)
+    ]

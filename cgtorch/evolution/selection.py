@@ -1,22 +1,55 @@
-"""Selection of parents, and ranking for the elite (Algorithm 2, lines 7 and 12)."""
+"""Evaluated individuals, their ranking, and the selection of parents (Algorithm 2, line 7)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.evolution import compiled, gpu
+from cgtorch.evolution import compiled
+from cgtorch.evolution.population import Population, join
 from cgtorch.graphs import Graphs
 from cgtorch.ground.counter_rng import keys, pick, random_key, uniform_from, words
 from cgtorch.ground.errors import SettingsError
-from cgtorch.native.gpu import Launcher, launcher_of
+from cgtorch.native.gpu import launcher_of
 
 Selection: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
 """Maps P individuals (P,) from best to worst, their scores (P, B), the number of parents, and the
 generator of all random choices to parents (count,)."""
 
 MOST_CANDIDATES = 1024  # individuals that a parent is chosen from at most
+
+
+@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+class Evaluated:
+    """P individuals with their fitness (P,) and scores (P, B), as in `Evaluation`."""
+
+    population: Population
+    fitness: Tensor
+    scores: Tensor
+
+    def __len__(self) -> int:
+        """The number of individuals."""
+        return len(self.population)
+
+    @cached_property
+    def order(self) -> Tensor:
+        """(P,) long, from best to worst; of equally fit individuals, the smaller graph first."""
+        return ranking(self.fitness, self.population.graphs)
+
+    def rows(self, index: Tensor | slice) -> "Evaluated":
+        """The individuals at `index` (k,)."""
+        return Evaluated(self.population[index], self.fitness[index], self.scores[index])
+
+    def with_others(self, others: "Evaluated") -> "Evaluated":
+        """These individuals, followed by others."""
+        return Evaluated(
+            join(self.population, others.population),
+            torch.cat([self.fitness, others.fitness]),
+            torch.cat([self.scores, others.scores]),
+        )
 
 
 def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
@@ -27,7 +60,7 @@ def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
 
 
 def ranked(fitness: Tensor, graphs: Graphs) -> Tensor:
-    """`ranking` in torch; `native/engine/ranking.c` sorts faster."""
+    """`ranking` in torch; `native/engine/selection.c` sorts faster."""
     by_size = torch.argsort(graphs.num_nodes, stable=True)
     return by_size[torch.argsort(fitness[by_size], descending=True, stable=True)]
 
@@ -61,30 +94,31 @@ def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) ->
         count: Number of parents.
         generator: The generator of all random choices.
     """
-    groups = -(-len(order) // MOST_CANDIDATES)
-    if launcher := launcher_of(scores.device):
-        return _on_gpu(launcher, scores, groups, count, generator)
+    groups, device = -(-len(order) // MOST_CANDIDATES), scores.device
     if groups == 1:
-        return _from_all(scores, count, generator)
-    members = compiled.shuffled(len(order), random_key(generator)).tensor_split(groups)
-    chosen = [
-        group[_from_all(scores[group], len(part), generator)]
-        for group, part in zip(members, torch.arange(count).tensor_split(groups), strict=True)
-    ]
-    return torch.cat(chosen)[compiled.shuffled(count, random_key(generator))]
-
-
-def _on_gpu(
-    launcher: Launcher, scores: Tensor, groups: int, count: int, generator: Generator
-) -> Tensor:
-    """`lexicase` by scores (P, B) on a GPU, with the same random numbers."""
-    if groups == 1:
-        members = torch.arange(len(scores), device=scores.device)
-        return gpu.lexicase(launcher, scores, members, [random_key(generator)], count)
-    members = gpu.shuffled(launcher, len(scores), random_key(generator))
+        members = torch.arange(len(order), device=device)
+        return _from_groups(scores, members, [random_key(generator)], count)
+    members = compiled.shuffled(len(order), random_key(generator), device)
     own = [random_key(generator) for _ in range(groups)]
-    chosen = gpu.lexicase(launcher, scores, members, own, count)
-    return chosen[gpu.shuffled(launcher, count, random_key(generator))]
+    chosen = _from_groups(scores, members, own, count)
+    return chosen[compiled.shuffled(count, random_key(generator), device)]
+
+
+def _from_groups(scores: Tensor, members: Tensor, own: Sequence[int], count: int) -> Tensor:
+    """(count,) parents from groups of `members` (P,), one for each of their `own` keys."""
+    if launcher := launcher_of(scores.device):
+        return compiled.lexicase_on_gpu(launcher, scores, members, own, count)
+    parts = members.tensor_split(len(own)), torch.arange(count).tensor_split(len(own))
+    chosen = []
+    for group, part, key in zip(*parts, own, strict=True):
+        inside = scores[group]
+        if compiled.takes_scores(scores):
+            places = compiled.lexicase(inside, compiled.deviation(inside), len(part), key)
+        else:
+            inside = inside + 0.0  # there is one zero only
+            places = parents(inside, deviation(inside), len(part), key)
+        chosen.append(group[places])
+    return torch.cat(chosen)
 
 
 def deviation(scores: Tensor) -> Tensor:
@@ -92,16 +126,8 @@ def deviation(scores: Tensor) -> Tensor:
     return (scores - scores.median(0).values).abs().median(0).values
 
 
-def _from_all(scores: Tensor, count: int, generator: Generator) -> Tensor:
-    """(count,) parents from all P individuals of `scores` (P, B)."""
-    if compiled.takes_scores(scores):
-        return compiled.lexicase(scores, compiled.deviation(scores), count, random_key(generator))
-    scores = scores + 0.0  # there is one zero only
-    return parents(scores, deviation(scores), count, random_key(generator))
-
-
 def parents(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
-    """(count,) parents, in torch; `native/engine/lexicase.c` selects one at a time.
+    """(count,) parents, in torch; `native/engine/selection.c` selects one at a time.
 
     Individuals with equal scores (P, B) remain or go together, so each set of them is one row.
     `epsilon` (B,) is how far below the best a score may be.

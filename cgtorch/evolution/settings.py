@@ -1,13 +1,30 @@
-"""Settings of an evolution."""
+"""Settings of an evolution, and a dry run of its parts before anything is evaluated."""
 
 from dataclasses import dataclass
 
-from cgtorch.evolution.fitness import Fitness, chance_of_success, episode_return
-from cgtorch.evolution.offspring import crossover, mutate
-from cgtorch.evolution.population import TAU, Crossover, FirstGraphs, Mutation, random_graphs
+import torch
+from torch import Generator
+
+from cgtorch.evolution.fitness import Fitness, chance_of_success, episode_return, last_success
+from cgtorch.evolution.operators import crossover, mutate
+from cgtorch.evolution.population import (
+    TAU,
+    Crossover,
+    FirstGraphs,
+    Mutation,
+    Population,
+    check_offspring,
+    initial_strategy,
+    random_graphs,
+    random_population,
+    varied_graphs,
+)
 from cgtorch.evolution.selection import Selection, lexicase, tournament
-from cgtorch.evolution.varied_graphs import varied_graphs
+from cgtorch.graphs import ActionSet, Graphs
+from cgtorch.ground.dry_run import ROWS, expect, kind, returned, two_rows
+from cgtorch.ground.environment import Environment
 from cgtorch.ground.errors import SettingsError
+from cgtorch.simulation import rollout
 
 
 @dataclass(frozen=True)
@@ -29,7 +46,7 @@ class EvolutionSettings:
         first_graphs: Draws random graphs, `random_graphs` or `varied_graphs`. With seeds, the
             random half of a first population is always drawn by `random_graphs`.
         tau: The variance of the drift of strategy parameters (eq. 2).
-        islands: Number of populations that evolve separately; see `cgtorch.evolution.islands`.
+        islands: Number of populations that evolve separately; see `cgtorch.evolution.search`.
         migration: Number of generations between two migrations.
         lineages: Number of structures whose parameters are tuned at once; see
             `cgtorch.evolution.lineages`. With 0, parameters change by mutation only, as in the
@@ -81,3 +98,54 @@ REWARDS = EvolutionSettings(
     lineages=4,
 )
 """Settings for worlds with rewards, where each rollout is an episode in the world itself."""
+
+
+def check_parts(
+    settings: EvolutionSettings,
+    actions: ActionSet,
+    environment: Environment,
+    device: torch.device | str = "cpu",
+) -> None:
+    """Try first graphs, selection, fitness, crossover and mutation on two individuals.
+
+    The dry run has its own random numbers. A SettingsError names the part and what is wrong.
+    """
+    generator, capacity = Generator().manual_seed(0), settings.capacity
+    pair = random_population(ROWS, actions, capacity, settings.initial_nodes, generator)
+
+    who = _named("first_graphs", settings.first_graphs)
+    sizes = actions, capacity, settings.initial_nodes
+    first = returned(SettingsError, who, settings.first_graphs, ROWS, *sizes, generator)
+    if not isinstance(first, Graphs):
+        raise SettingsError(f"{who} returned {kind(first)}; return Graphs")
+    check_offspring(Population(first, initial_strategy(ROWS)), ROWS, capacity, actions, who)
+
+    who = _named("fitness", settings.fitness)
+    graphs, scenario = pair.graphs.to(device), two_rows(environment.num_scenarios, device)
+    runs = rollout(graphs, actions, environment, scenarios=scenario)
+    chance = last_success(runs, environment, scenario)[0]
+    worth = returned(SettingsError, who, settings.fitness, runs, chance)
+    expect(SettingsError, who, "", worth, chance.shape, chance.dtype)
+
+    who = _named("selection", settings.selection)
+    order, scores = torch.arange(ROWS), worth.cpu()
+    parents = returned(SettingsError, who, settings.selection, order, scores, ROWS, generator)
+    expect(SettingsError, who, "", parents, (ROWS,), torch.long)
+    if not ((parents >= 0) & (parents < ROWS)).all():
+        raise SettingsError(f"{who} chose {parents.tolist()} of {ROWS}; choose 0 to {ROWS - 1}")
+
+    for name, part, given in (
+        ("crossover", settings.crossover, (pair[:1], pair[1:], generator)),
+        ("mutation", settings.mutation, (pair, actions, generator, settings.tau)),
+    ):
+        who = _named(name, part)
+        kept = [x.clone() for x in (*vars(pair.graphs).values(), pair.strategy)]
+        offspring = returned(SettingsError, who, part, *given)
+        check_offspring(offspring, ROWS, capacity, actions, who)
+        now = (*vars(pair.graphs).values(), pair.strategy)
+        if not all(torch.equal(a, b) for a, b in zip(kept, now, strict=True)):
+            raise SettingsError(f"{who} changed its parents in place; return new tensors")
+
+
+def _named(what: str, part: object) -> str:
+    return f"{what} {getattr(part, '__name__', kind(part))!r}"

@@ -160,7 +160,7 @@ def pick(draw: Tensor, count: Tensor | int) -> Tensor:
 
 
 def nth_true(mask: Tensor, draw: Tensor) -> Tensor:
-    """(P, *shape) long: for each draw (P, *shape), a random True of `mask` (P, N), 0 without any."""
+    """(P, *shape) long: for each draw (P, *shape), a random True of `mask` (P, N), else 0."""
     order = torch.argsort((~mask).long(), dim=1, stable=True)
     at = pick(draw.reshape(len(mask), -1), mask.sum(1)[:, None])
     return order.gather(1, at).view(draw.shape)

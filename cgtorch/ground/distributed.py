@@ -5,7 +5,7 @@ shared: rollouts of individuals in the models, and grasps in the world. Their re
 before they are used, so the result is that of a single process, bit for bit, for any number of
 ranks. Only the first rank writes files.
 
-With several islands (`cgtorch.evolution.islands`), each rank holds only some of them. A process
+With several islands (`cgtorch.evolution.search`), each rank holds only some of them. A process
 group consists of the ranks that hold the same islands, and shares the rows of these.
 """
 

@@ -1,4 +1,4 @@
-"""Journals: an interrupted stage resumes and ends as if it had not been interrupted.
+"""The result of an evolution so far, and journals, by which an interrupted stage resumes.
 
 All results depend on seeds alone, so a repeated stage gives the same results. A journal stores the
 result of each long step, in order, with the state of the random numbers after it. A repeated stage
@@ -7,24 +7,62 @@ evolution in progress, the journal also stores a checkpoint.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.evolution import Island
-from cgtorch.evolution.island_tensors import (
+from cgtorch.evolution import EvolutionState, Generation, Population
+from cgtorch.evolution.ask_and_tell import (
     damage,
-    island_from,
-    island_tensors,
     population_named,
     population_tensors,
+    state_from,
+    state_tensors,
 )
+from cgtorch.evolution.population import slim
 from cgtorch.graphs import ActionSet
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
-from cgtorch.improvement.stopping import Found
+
+
+@dataclass(frozen=True)
+class Found:
+    """The result of an evolution so far.
+
+    Attributes:
+        champion: The best individual, a population of one without unused slots.
+        solved: (B,) bool, what it solves in the environment.
+        best: Its fitness, -inf before the first generation.
+        since: Generations since the fitness last improved.
+        generations: Number of generations so far.
+        transitions: Number of actions executed so far.
+        seconds: Time so far.
+    """
+
+    champion: Population
+    solved: Tensor
+    best: float
+    since: int = 0
+    generations: int = 0
+    transitions: int = 0
+    seconds: float = 0.0
+
+    def after(self, generation: Generation, seconds: float) -> "Found":
+        """The result after one more generation, which took `seconds`."""
+        counted = replace(
+            self,
+            since=self.since + 1,
+            generations=self.generations + 1,
+            transitions=self.transitions + generation.transitions,
+            seconds=self.seconds + seconds,
+        )
+        fitness = generation.best
+        if fitness <= self.best + 1e-3:
+            return counted
+        champion, solved = slim(generation.champion), generation.succeeded  # on any rank the same
+        return replace(counted, champion=champion, solved=solved, best=fitness, since=0)
 
 
 @dataclass(frozen=True)
@@ -87,10 +125,10 @@ def found_from(tensors: dict[str, Tensor], actions: ActionSet, scenarios: int) -
         return Found(champion, solved, float(best), *counts, float(seconds))
 
 
-def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkpoint:
+def checkpoint_of(found: Found, islands: Sequence[EvolutionState], count: int) -> Checkpoint:
     """A checkpoint of a result and of those of `count` islands that this rank holds."""
     # Looked at now: what is kept when a step is interrupted is written after more was drawn.
-    held = dict(zip(ranks.held(count), map(island_tensors, islands), strict=True))
+    held = dict(zip(ranks.held(count), map(state_tensors, islands), strict=True))
 
     def part(number: int) -> dict[str, Tensor]:
         mine = {name: tensor.cpu() for name, tensor in held.get(number, {}).items()}
@@ -102,7 +140,7 @@ def checkpoint_of(found: Found, islands: Sequence[Island], count: int) -> Checkp
 
 def islands_from(
     checkpoint: Checkpoint, actions: ActionSet, generator: Generator, count: int
-) -> list[Island]:
+) -> list[EvolutionState]:
     """The islands that this rank holds, of `count` in a checkpoint; RunError if it is damaged.
 
     If this rank holds the first island, the generator becomes that island's and gets its state.
@@ -114,6 +152,6 @@ def islands_from(
         )
     done = int(checkpoint.about["generations"])
     return [
-        island_from(checkpoint.parts[i](), actions, Generator() if i else generator, done)
+        state_from(checkpoint.parts[i](), actions, Generator() if i else generator, done)
         for i in ranks.held(count)
     ]

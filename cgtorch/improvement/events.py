@@ -2,16 +2,19 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Generic, TypeAlias
+from typing import Generic, TypeAlias, TypeVar
 
 from torch import Tensor
 
 from cgtorch.evolution import Generation
 from cgtorch.graphs import Skill
 from cgtorch.ground.asked import Asked
-from cgtorch.improvement.interfaces import S
-from cgtorch.improvement.stopping import Found
+from cgtorch.ground.environment import ScenarioBatch
+from cgtorch.improvement.checkpoint import Found
 from cgtorch.svm import LearningCurve
+
+S = TypeVar("S", bound=ScenarioBatch)
+"""The scenarios of a world."""
 
 
 class Event:

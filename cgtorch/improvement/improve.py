@@ -14,27 +14,36 @@ from torch import Tensor
 
 from cgtorch.graphs import Skill
 from cgtorch.ground.asked import BudgetSpentError
-from cgtorch.improvement.acting import DECISIVE, acted, without_chance
-from cgtorch.improvement.compose import specialists_of
-from cgtorch.improvement.events import SkillAccepted
-from cgtorch.improvement.grouping import cover
-from cgtorch.improvement.interfaces import Draw, S
-from cgtorch.improvement.proposing import REFLECT, proposed
-from cgtorch.improvement.setup import Progress, Stage
-from cgtorch.improvement.team import (
-    Candidate,
-    StageState,
+from cgtorch.ground.environment import Dataset
+from cgtorch.ground.statistics import wilson
+from cgtorch.improvement.compose import cover, specialists_of
+from cgtorch.improvement.events import (
+    ChanceFound,
+    Practised,
+    S,
+    SkillAccepted,
+    WorldTested,
+    solved_of,
 )
-from cgtorch.improvement.trial import looked
+from cgtorch.improvement.setup import Draw, Progress, Setup
+from cgtorch.improvement.team import REFLECT, Candidate, StageState, learned, proposed
+from cgtorch.improvement.trial import attempt, looked
 
 IDLE = 6  # candidates in a row that solve nothing more, after which a stage ends
+DECISIVE = 30  # solved scenarios that tell whether success is chance
+MOST_JUDGED = 100  # scenarios, evenly spread, that are met under other noise
+SAME, CONFIDENCE = 0.8, 0.95
+OTHER = 1000  # the number of the other noise
+FIRST = 1.5  # episodes before a stage ends, as a multiple of those to solve in a row
+LONG = 2.5  # successes, as the same multiple, after which half as many in a row are enough
+BATCH = 3  # fresh scenarios of the first batch; later batches double
 
 
-def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Progress[S]:
+def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Progress[S]:
     """Act, learn and improve until fresh scenarios are solved in a row, or the budget is spent.
 
     Args:
-        stage: What the stage works with.
+        setup: What the stage works with.
         progress: The result of earlier stages.
         tests: The stage's own test scenarios, which are tried first.
         draw: Draws fresh scenarios.
@@ -44,43 +53,43 @@ def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     """
     began = time.perf_counter()
     try:
-        state = _begun(stage, progress, tests, draw)
+        state = _begun(setup, progress, tests, draw)
     except BudgetSpentError:
         return progress
     if not len(state.scenarios):  # for which nobody could be evolved
         return progress
     first, accepted, best, idle, done = state, False, (0, 0), 0, False
-    for _ in range(stage.setup.attempts):
+    for _ in range(setup.attempts):
         before = state.current
-        candidate, state = proposed(stage, state)
+        candidate, state = proposed(setup, state)
         if done and candidate is before:
             break
         if done:  # the new one has to show some of it, too
-            in_a_row = min(state.in_a_row, stage.setup.practice) - REFLECT
+            in_a_row = min(state.in_a_row, setup.practice) - REFLECT
             state = replace(state, in_a_row=max(0, in_a_row))
-        state, done = acted(stage, state, candidate, draw)
+        state, done = acted(setup, state, candidate, draw)
         if state.judged is None and int(state.keep.sum()) >= DECISIVE:
-            state = without_chance(stage, state)
+            state = without_chance(setup, state)
         accepted |= bool((state.keep & ~state.known).any())
         solved = int(state.keep[: len(first.keep)].sum()) if state.repeats else 0
         idle = 0 if solved > best[0] or state.in_a_row > best[1] else idle + 1
         best = max(best[0], solved), max(best[1], state.in_a_row)
-        if stage.setup.purse.exhausted or (state.repeats and (done or idle == IDLE)):
+        if setup.purse.exhausted or (state.repeats and (done or idle == IDLE)):
             break
     if accepted and state.judged is not state.current:
-        state = without_chance(stage, state)
-    chance = progress.chance or state.repeats != stage.setup.repeats
+        state = without_chance(setup, state)
+    chance = progress.chance or state.repeats != setup.repeats
     about = state.knowledge, state.population
     progress = replace(progress, knowledge=about[0], specialists=about[1], chance=chance)
     if state.current is None:
         return progress
     old = state.current.skill
-    skill = Skill(stage.name, old.graph, old.actions, old.max_transitions)
-    if progress.skill is None and stage.setup.purse.exhausted and not state.tried.any():
+    skill = Skill(setup.name, old.graph, old.actions, old.max_transitions)
+    if progress.skill is None and setup.purse.exhausted and not state.tried.any():
         return replace(progress, skill=skill)
     if not accepted:
         return progress
-    _report_accepted(stage, state, skill, time.perf_counter() - began)
+    _report_accepted(setup, state, skill, time.perf_counter() - began)
     good, bad = state.tried & state.keep, state.tried & ~state.keep
     return replace(
         progress,
@@ -91,12 +100,12 @@ def improve(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     )
 
 
-def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> StageState[S]:
+def _begun(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> StageState[S]:
     """A coreset of W, the tests, M, and first percepts to practise on in the models."""
-    setup, solved, missed = stage.setup, progress.solved, progress.missed
+    solved, missed = progress.solved, progress.missed
     repeats = setup.repeats and not progress.chance
     waiting, tests = (tests[:0], tests) if repeats else (tests, tests[:0])
-    looks, seen = _looks(stage, progress, tests, draw)
+    looks, seen = _looks(setup, progress, tests, draw)
     known = seen[:0] if progress.seen is None else progress.seen
     of_w, of_m = known[: len(solved)], known[len(solved) :]
     core, _ = cover(of_w, setup.core)
@@ -124,31 +133,30 @@ def _begun(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> S
     )
 
 
-def _looks(stage: Stage[S], progress: Progress[S], tests: S, draw: Draw[S]) -> tuple[S, Tensor]:
+def _looks(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> tuple[S, Tensor]:
     """Fresh scenarios to practise on in the models, and first percepts of the tests and of these.
 
     A robot would need somebody to arrange a scene for each look, so percepts of the data stand for
     them. So they do if the budget has no looks left. BudgetSpentError if the tests need some.
     """
-    setup = stage.setup
     if not setup.live:
-        looks = draw(setup.looks, stage.generator)
+        looks = draw(setup.looks, setup.generator)
         try:
-            return looks, looked(stage, tests.joined(looks))
+            return looks, looked(setup, tests.joined(looks))
         except BudgetSpentError:
             if len(tests) or setup.learn is None:
                 raise
     seen = progress.knowledge.dataset.percept[: setup.looks]
-    return draw(len(seen), stage.generator), seen
+    return draw(len(seen), setup.generator), seen
 
 
-def _report_accepted(stage: Stage[S], state: StageState[S], skill: Skill, seconds: float) -> None:
+def _report_accepted(setup: Setup[S], state: StageState[S], skill: Skill, seconds: float) -> None:
     """Report the new skill with its result on all scenarios that were tried, and on the rest."""
     rows, rest = state.tried, state.rest[0]
     yes = torch.ones(len(rest), dtype=torch.bool)
-    stage.watch(
+    setup.watch(
         SkillAccepted(
-            stage.name,
+            setup.name,
             skill,
             state.scenarios[rows].joined(rest),
             torch.cat([state.keep[rows], yes]),
@@ -158,3 +166,143 @@ def _report_accepted(stage: Stage[S], state: StageState[S], skill: Skill, second
             state.other_noise if state.judged is state.current else None,
         )
     )
+
+
+def acted(
+    setup: Setup[S], state: StageState[S], candidate: Candidate, draw: Draw[S]
+) -> tuple[StageState[S], bool]:
+    """The state after a candidate acted in the world, and whether the stage is finished.
+
+    In a world that repeats itself, the candidate does not replace the current skill if it loses
+    some of W. Fresh scenarios follow until it fails or has solved enough of them in a row. Where
+    trials take a robot's time, the models learn from successes, too, and may know a better skill
+    before the next failure.
+    """
+    experience, done = list[Dataset](), False
+    if state.repeats and candidate is not state.current:
+        state = replace(state, in_a_row=0)
+    try:
+        state, lost = _on_known(setup, state, candidate, experience)
+        size = BATCH if state.repeats else 1
+        while not lost and (wanted := _wanted(setup, state) - state.in_a_row) > 0:
+            if not state.repeats and len(experience) == REFLECT:
+                break
+            tests, fresh = len(state.waiting) > 0, state.waiting[:size]
+            if not tests:
+                fresh = draw(min(size, wanted), setup.generator)
+            state = replace(state, waiting=state.waiting[size:])
+            most = None if state.repeats else state.most
+            trial = attempt(setup, candidate.skill, fresh, "practice", most)
+            experience.append(trial.experience)
+            rows = torch.arange(len(fresh)) + len(state.keep)
+            state = state.extended(fresh, trial.percepts, targets=tests)
+            state = state.after(candidate, rows, trial)
+            if not trial.succeeded.all():
+                state = replace(state, in_a_row=0)
+                break
+            size = 2 * size if state.repeats else 1
+            state = replace(state, in_a_row=state.in_a_row + len(fresh))
+        missed = state.repeats and bool((state.targets & ~state.keep).any())
+        done = not lost and state.in_a_row >= _wanted(setup, state) and not missed
+    except BudgetSpentError:
+        done = True
+        if not state.tried.any():  # the models have the last word, as the world has none
+            thought = replace(state, current=candidate, repeats=False)
+            state = replace(proposed(setup, thought)[1], repeats=state.repeats)
+    setup.watch(Practised(setup.name, candidate.skill, state.in_a_row, _wanted(setup, state)))
+    if experience and not (state.repeats and done):
+        more = experience[0]
+        for each in experience[1:]:
+            more = more.extended(each)
+        state = replace(state, knowledge=learned(setup, state.knowledge, more))
+    return state, done
+
+
+def _wanted(setup: Setup[S], state: StageState[S]) -> int:
+    """The number of fresh scenarios to solve in a row, and the tests that still wait.
+
+    Where nothing can be tried twice, a skill that nothing has corrected yet has to solve more, and
+    after many successes half as many are enough.
+    """
+    share, practice = 1.0, setup.practice
+    if not state.repeats and int(state.tried.sum()) < FIRST * practice:
+        share = FIRST
+    elif not state.repeats and len(state.actions) >= LONG * practice:
+        share = 0.5
+    return max(int(share * practice), state.in_a_row + len(state.waiting))
+
+
+def without_chance(setup: Setup[S], state: StageState[S]) -> StageState[S]:
+    """The state, which does not count on repetition any more if what was solved is chance.
+
+    Noise is part of a scenario, so a skill can be chosen for lucky numbers that nobody foresees.
+    If under other noise it solves significantly less than `SAME` of what it has solved, a scenario
+    that was solved is no fact.
+    """
+    rows = state.keep.nonzero()[:, 0]
+    if not (state.repeats and setup.noisy) or state.current is None or not len(rows):
+        return state
+    if len(rows) > MOST_JUDGED:
+        rows = rows[torch.linspace(0, len(rows) - 1, MOST_JUDGED).long()]
+    others = state.scenarios[rows].with_noise(OTHER)
+    try:
+        trial = attempt(setup, state.current.skill, others, "other noise")
+    except BudgetSpentError:
+        return state
+    share = int(trial.succeeded.sum()), len(rows)
+    state = replace(state, judged=state.current, other_noise=share)
+    _, most = wilson(*share, CONFIDENCE)
+    if most >= SAME or len(rows) < DECISIVE:
+        return state
+    setup.watch(ChanceFound(setup.name, *share))
+    return replace(state, repeats=False)
+
+
+def _on_known(
+    setup: Setup[S], state: StageState[S], candidate: Candidate, experience: list[Dataset]
+) -> tuple[StageState[S], bool]:
+    """The state after a candidate met what has to be tried, and whether it lost some of W."""
+    again = state.repeats and candidate is not state.current
+    wanted = state.targets & ~state.tried
+    rows = (wanted | state.tried if again else wanted).nonzero()[:, 0]
+    if again and len(state.rest[0]):
+        state, held = _on_rest(setup, state, candidate)
+        if not held:
+            return state, True
+    if not len(rows):
+        return replace(state, current=candidate), False
+    most = None if state.repeats else state.most
+    trial = attempt(setup, candidate.skill, state.scenarios[rows], "trials", most)
+    experience.append(trial.experience)
+    counts = solved_of(trial.succeeded, state.keep[rows])
+    setup.watch(WorldTested(setup.name, candidate.skill.name, *counts))
+    after = state.after(candidate, rows, trial)
+    if again and bool((state.keep[rows] & ~trial.succeeded).any()):
+        return _with_current(replace(state, trust=after.trust)), True
+    return replace(after, current=candidate), False
+
+
+def _on_rest(
+    setup: Setup[S], state: StageState[S], candidate: Candidate
+) -> tuple[StageState[S], bool]:
+    """The state, and whether a candidate loses nothing of the rest of W; what it loses joins."""
+    scenarios, percepts = state.rest
+    held = attempt(setup, candidate.skill, scenarios, "trials").succeeded
+    if not held.all():
+        lost = percepts[~held]
+        state = state.extended(scenarios[~held], lost, kept=True)
+        state = _with_current(replace(state, rest=(scenarios[held], percepts[held])))
+    return state, bool(held.all())
+
+
+def _with_current(state: StageState[S]) -> StageState[S]:
+    """The state with the skill that acts as a member, which solves all of W.
+
+    Where gating networks over specialists lose some of W, they need to learn only what goes to
+    somebody else.
+    """
+    skill = None if state.current is None else state.current.skill
+    if skill is None or any(member is skill for member in state.members):
+        return state
+    trust = torch.cat([state.trust, torch.ones(len(state.trust), 1)], 1)
+    return replace(state, members=(*state.members, skill), trust=trust)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Generic
+from typing import Any, Generic, TypeAlias
 
 import torch
 from torch import Generator, Tensor
@@ -10,12 +10,64 @@ from torch import Generator, Tensor
 from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.graphs import ActionSet, Skill
 from cgtorch.ground.asked import Purse
-from cgtorch.ground.environment import Environment
-from cgtorch.improvement.checkpoint import Journal
-from cgtorch.improvement.events import ModelSummary, Watch
-from cgtorch.improvement.grouping import local_group
-from cgtorch.improvement.interfaces import Grouping, Imagine, Learn, Models, S
-from cgtorch.improvement.stopping import Budget
+from cgtorch.ground.environment import Dataset, Environment
+from cgtorch.improvement.checkpoint import Found, Journal
+from cgtorch.improvement.compose import local_group
+from cgtorch.improvement.events import ModelSummary, S, Watch
+
+Models: TypeAlias = Any
+"""Γ and C with their data. Improvement passes them on without looking at them. For a `Domain` they
+are `cgtorch.domains.Knowledge`, or None without models."""
+
+Imagine: TypeAlias = Callable[[Models, S, Tensor, int, Generator, torch.device | str], Environment]
+"""Makes the environment of an evolution, from Γ and C or from the world itself. The arguments are
+models, scenarios, their first percepts (B, D), the number of replicas of each, a generator and a
+device. Scenario i gets the indices i · replicas … i · replicas + replicas - 1. Replicas may differ
+by possible errors of Γ, drawn from the generator, or by noise."""
+
+Learn: TypeAlias = Callable[[Models, Dataset, Generator], Models]
+"""Maps models, new experience in the world, and a generator to models that have learned from it."""
+
+Grouping: TypeAlias = Callable[[Tensor, Tensor, int, Generator], Tensor]
+"""Maps first percepts (B, D), (B,) bool which scenarios are missed, a size, and a generator to the
+indices (n,) of missed scenarios on which a specialist is evolved."""
+
+Draw: TypeAlias = Callable[[int, Generator], S]
+"""Draws a number of fresh scenarios of the stage's kind."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When to stop an evolution.
+
+    Attributes:
+        generations: Maximum number of generations.
+        patience: Generations without a better fitness after which it stops, once all is solved.
+        stall: Generations without a better fitness after which it gives up.
+        enough: The fitness at which it stops at once if all is solved.
+        satisfied: The fitness from which it stops after `patience` generations without a better
+            one, even if not all is solved; other members solve the rest.
+        transitions: Number of executed actions after which no generation begins.
+    """
+
+    generations: int = 150
+    patience: int = 10
+    stall: int = 40
+    enough: float = 0.97
+    satisfied: float = float("inf")
+    transitions: float = float("inf")
+
+    def ends(self, found: Found) -> bool:
+        """Whether an evolution with this result so far is finished."""
+        good = found.best >= self.enough or found.since >= self.patience
+        settled = found.best >= self.satisfied and found.since >= self.patience
+        return (
+            (bool(found.solved.all()) and good)
+            or settled
+            or found.since >= self.stall
+            or found.generations >= self.generations
+            or found.transitions >= self.transitions
+        )
 
 
 @dataclass(frozen=True)
@@ -23,6 +75,9 @@ class Setup(Generic[S]):
     """The constant inputs of improvement.
 
     Attributes:
+        name: Of the stage, and of its skill.
+        generator: The generator of all random choices of the stage.
+        watch: Receives every event.
         world_of: Makes the world of given scenarios.
         imagine: Makes the environment in which skills are evolved.
         learn: Trains the models on new experience; None without models.
@@ -71,16 +126,9 @@ class Setup(Generic[S]):
     device: torch.device | str = "cpu"
     journal: Journal = field(default_factory=Journal)
     purse: Purse = field(default_factory=Purse)
-
-
-@dataclass(frozen=True)
-class Stage(Generic[S]):
-    """The inputs of one stage; its skill has the same name."""
-
-    setup: Setup[S]
-    name: str
-    generator: Generator
-    watch: Watch
+    name: str = "S0"
+    generator: Generator = field(default_factory=Generator)
+    watch: Watch = lambda _: None
 
 
 @dataclass(frozen=True)

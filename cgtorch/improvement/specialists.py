@@ -1,29 +1,80 @@
 """Specialists: small graphs evolved on a group of missed scenarios, without W as a constraint."""
 
 import time
+from dataclasses import replace
 from math import inf
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from cgtorch.evolution import Population, evolve
-from cgtorch.evolution.island_tensors import restore
+from cgtorch.evolution import Fitness, Population, chance_of_success, evaluator, evolve
+from cgtorch.evolution.ask_and_tell import restore
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import Environment
 from cgtorch.improvement.checkpoint import (
+    Found,
     checkpoint_of,
     found_from,
     found_tensors,
     islands_from,
 )
-from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, solved_of
-from cgtorch.improvement.setup import Stage
-from cgtorch.improvement.stopping import Found
+from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, S, solved_of
+from cgtorch.improvement.setup import Models, Setup
+
+READABLE = 10  # nodes that a picture shows at a glance
+SLACK = 1e-3  # of the fitness that a smaller graph may cost
+
+
+def specialist(
+    setup: Setup[S],
+    name: str,
+    models: Models,
+    scenarios: S,
+    percepts: Tensor,
+    seeds: Population | None,
+) -> Population:
+    """The best individual on scenarios with first percepts (R, D), as small as it can be.
+
+    With a fitness of `Budget.satisfied` on a group it goes on on twice as many. This detects chance
+    successes on a few, while most of the search runs on a few.
+    """
+    step, count = name, len(percepts)
+    size = setup.group if setup.budget.satisfied < inf else count
+    while True:
+        size = min(size, count)
+        replicas = max(setup.replicas, setup.replicas * setup.group // size)
+        about = models, scenarios[:size], percepts[:size], replicas
+        environment = setup.imagine(*about, setup.generator, setup.device)
+        found = best_of_searches(setup, step, environment, seeds)
+        if size >= count or found.best < setup.budget.satisfied:
+            break
+        size, seeds = 2 * size, found.champion
+        step = f"{name} on {size}"
+    how = setup.max_transitions, setup.evolution.fitness, setup.device
+    return shrunk(found.champion, setup.actions, environment, *how)
+
+
+def best_of_searches(
+    setup: Setup[Any], name: str, environment: Environment, seeds: Population | None
+) -> Found:
+    """The best result of some evolutions, up to one that solves everything.
+
+    Every second one begins without `seeds`, which may have led the first to where it got stuck.
+    """
+    best = evolve_candidate(setup, name, environment, seeds=seeds)
+    for number in range(2, setup.searches + 1):
+        if best.solved.all() or best.best >= setup.budget.satisfied:
+            break
+        start = None if number % 2 == 0 else seeds
+        found = evolve_candidate(setup, f"{name} search {number}", environment, seeds=start)
+        best = max(best, found, key=lambda each: each.best)
+    return best
 
 
 def evolve_candidate(
-    stage: Stage[Any],
+    setup: Setup[Any],
     name: str,
     environment: Environment,
     *,
@@ -35,19 +86,19 @@ def evolve_candidate(
     The environment of B scenarios runs on the setup's device. For `keep` (B,) bool and `seeds` see
     `cgtorch.evolution.evolve`. Results in the journal are not computed again.
     """
-    setup, generator, step = stage.setup, stage.generator, f"evolution {name}"
+    generator, step = setup.generator, f"evolution {name}"
     settings, journal = setup.evolution, setup.journal
     keep = torch.zeros(environment.num_scenarios, dtype=torch.bool) if keep is None else keep
     found, islands = None, None
     if known := journal.recall(step):
         found = found_from(known, setup.actions, len(keep))
-        stage.watch(EvolutionRecalled(stage.name, name, found))
+        setup.watch(EvolutionRecalled(setup.name, name, found))
         restore(generator, known)
         return found
     if checkpoint := journal.recall_checkpoint(step):
         found = found_from(checkpoint.about, setup.actions, len(keep))
         islands = islands_from(checkpoint, setup.actions, generator, settings.islands)
-        stage.watch(EvolutionRecalled(stage.name, name, found))
+        setup.watch(EvolutionRecalled(setup.name, name, found))
     began = time.perf_counter()
     for generation in evolve(
         environment,
@@ -64,12 +115,66 @@ def evolve_candidate(
         journal.record_checkpoint(step, checkpoint)
         seconds, counts = time.perf_counter() - began, solved_of(generation.succeeded, keep)
         done = generation, setup.budget.generations, seconds
-        stage.watch(GenerationDone(stage.name, name, *counts, *done))
+        setup.watch(GenerationDone(setup.name, name, *counts, *done))
         found, began = found.after(generation, seconds), began + seconds
-        if found.ends(setup.budget):
+        if setup.budget.ends(found):
             break
     assert found is not None  # noqa: S101  the loop body has run
     # Where the first island is not held, its random numbers have not been drawn.
     generator.set_state(ranks.broadcast(generator.get_state()))
     journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
     return found
+
+
+def shrunk(
+    champion: Population,
+    actions: ActionSet,
+    environment: Environment,
+    max_transitions: int,
+    fitness: Fitness = chance_of_success,
+    device: torch.device | str = "cpu",
+) -> Population:
+    """The individual with nodes removed until it is readable, as long as it does not get worse.
+
+    For every pair of nodes, all edges into one are led to the other in the models, all pairs at
+    once. Among those that still solve all scenarios, the one with the fewest nodes is taken, and so
+    on. The champion is a population of one. The environment, on `device`, contains its scenarios.
+    For the rest see `cgtorch.evolution.evaluator`.
+    """
+    nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool, device=device)
+    evaluation = evaluator(actions, environment, nothing, max_transitions, fitness=fitness)
+
+    def tried(graphs: Graphs) -> tuple[Tensor, Tensor]:
+        result = evaluation(graphs)
+        return result.fitness, result.succeeded
+
+    before, solved = tried(champion.graphs)
+    while int(champion.graphs.num_nodes) > READABLE:
+        smaller = _without_each(champion.graphs)
+        fitnesses, succeeded = tried(smaller)
+        well = (fitnesses >= before - SLACK) & (succeeded | ~solved).all(1)
+        if not well.any():
+            break
+        nodes = smaller.num_nodes.masked_fill(~well, champion.graphs.capacity + 1)
+        best = nodes == nodes.amin()
+        index = int(fitnesses.masked_fill(~best, -torch.inf).argmax())
+        champion = replace(champion, graphs=smaller[index : index + 1])
+    return champion
+
+
+def _without_each(graphs: Graphs) -> Graphs:
+    """One graph with n nodes as n (n - 1) graphs: edges into node i lead to node j instead."""
+    used = graphs.used[0].nonzero()[:, 0]
+    gone, to = (x.flatten() for x in torch.meshgrid(used, used, indexing="ij"))
+    gone, to = gone[gone != to], to[gone != to]
+    many = graphs[torch.zeros_like(gone)]
+    slot = torch.arange(graphs.capacity) == gone[:, None]
+    edges = torch.where(many.edges == gone[:, None, None], to[:, None, None], many.edges)
+    return pruned(
+        Graphs(
+            many.action.masked_fill(slot, NO_NODE),
+            edges.masked_fill(slot[..., None], NO_NODE),
+            many.parameters.masked_fill(slot[..., None], 0.0),
+            torch.where(many.start == gone, to, many.start),
+        )
+    )

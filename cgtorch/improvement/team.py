@@ -1,4 +1,10 @@
-"""The team of skills that a composed skill branches to: how well members do, and who is chosen."""
+"""The team of skills that a composed skill branches to, and the next skill to act in the world.
+
+It is thought out in the models: how well members do there, who is missing, and who is chosen. Last,
+a candidate is compared with the skill that acts. In a world that repeats itself, eq. 1 is exact: a
+candidate has to solve all of W in the world. In any other world a scenario cannot be tried again,
+so W and M are replayed in the models.
+"""
 
 import time
 from dataclasses import dataclass, replace
@@ -9,16 +15,13 @@ import torch
 from torch import Tensor
 
 from cgtorch.evolution import Population, join
-from cgtorch.graphs import Skill, merged
-from cgtorch.ground.environment import Dataset, Environment
+from cgtorch.graphs import Skill, merged, same_behaviour
+from cgtorch.ground.environment import Dataset
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
-from cgtorch.improvement.events import ModelsFitted
+from cgtorch.improvement.events import ModelsFitted, S
 from cgtorch.improvement.gating import selected_members, train_gating
-from cgtorch.improvement.interfaces import Models, S
-from cgtorch.improvement.setup import Stage
-from cgtorch.improvement.shrink import shrunk
-from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.stopping import Found
+from cgtorch.improvement.setup import Models, Setup
+from cgtorch.improvement.specialists import specialist
 from cgtorch.improvement.trial import Trial
 from cgtorch.simulation import rollout
 
@@ -31,6 +34,12 @@ PATIENCE = 2.0  # by which a trial may exceed what almost all successes take
 FEWEST = 4  # missed scenarios, to which solved ones are added for a group
 OTHERS = 8  # solved scenarios that are added
 WIDEST = 32  # scenarios to which a group grows, by doubling, where a fitness is good enough
+REFLECT = 8  # episodes after which the models learn, however well all went
+THOUGHTS = 3  # candidates in the models before one acts, where trials take a robot's time
+WORTH = 0.02  # share of replays that a candidate gains before a skill that does not fail gives way
+ERRORS = 2.0  # standard errors by which a candidate may be worse on W
+MOST_WORSE = 0.05  # share of replays by which it may be worse, however few there are
+CLEAR = 0.7  # standard errors by which it has to be better on all scenarios together
 
 
 @dataclass(frozen=True)
@@ -149,17 +158,17 @@ class StageState(Generic[S]):
         return replace(self, current=candidate, shown=torch.zeros_like(self.shown))
 
 
-def shares(stage: Stage[S], state: StageState[S], skills: list[Skill]) -> Tensor:
+def shares(setup: Setup[S], state: StageState[S], skills: list[Skill]) -> Tensor:
     """(B, K) share of replays in the models in which each of K skills solves each scenario.
 
     All skills meet the same errors of Γ, so differences between them are differences of pairs. A
     replay is broken off about where a trial in the world would be.
     """
-    setup, count = stage.setup, len(state.percepts)
+    count = len(state.percepts)
     if not skills:
         return torch.zeros(count, 0)
     about = state.knowledge, state.scenarios, state.percepts, setup.replays
-    environment = setup.imagine(*about, stage.generator, "cpu")
+    environment = setup.imagine(*about, setup.generator, "cpu")
     found, steps = [], None if state.repeats else state.most_steps
     with torch.no_grad():
         for skill in skills:
@@ -169,16 +178,85 @@ def shares(stage: Stage[S], state: StageState[S], skills: list[Skill]) -> Tensor
     return torch.stack(found, 1)
 
 
-def with_member(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageState[S]:
+def proposed(setup: Setup[S], state: StageState[S]) -> tuple[Candidate, StageState[S]]:
+    """The skill to act next, and the state that knows the members it may have been made of.
+
+    Where nothing repeats itself, it is the best of several candidates in the models.
+    """
+    candidate, state = _candidate(setup, state)
+    if state.repeats:
+        return candidate, state
+    for _ in range(1, THOUGHTS):
+        candidate, state = _candidate(setup, state.acting(candidate))
+    return candidate, state.acting(candidate)
+
+
+def _candidate(setup: Setup[S], state: StageState[S]) -> tuple[Candidate, StageState[S]]:
+    """The skill that acts, or one that is better in the models."""
+    state = replace(state, number=state.number + 1)
+    rates = _rates(setup, state)
+    missed = (rates < RELIABLE).all(1)
+    if missed.any():
+        state = with_member(setup, state, missed)
+        rates = _rates(setup, state)
+    best = rates[:, :-1].amax(1)
+    old = rates[:, -1]
+    if state.current is not None and bool((old >= torch.minimum(best, _RELIABLE)).all()):
+        return state.current, state
+    new = composed(setup, state, rates[:, :-1])
+    if state.current is None:
+        return new, state
+    if same_behaviour(new.skill, state.current.skill):
+        return state.current, state
+    now = shares(setup, state, [state.current.skill, new.skill])
+    # What the world has shown of it, the models may not know.
+    now[state.shown < 0, 0] *= 0.0 if state.repeats else BLAME
+    gain = 0.0
+    if not state.repeats:  # else the world has the last word on W
+        now[state.shown > 0, 0] = now[state.shown > 0, 0].clamp(min=RELIABLE)
+        gain = WORTH if state.in_a_row >= REFLECT else 0.0
+    better = no_worse(now[:, 0], now[:, 1], state.keep, gain)
+    return (new if better else state.current), state
+
+
+_RELIABLE = torch.tensor(RELIABLE)
+
+
+def _rates(setup: Setup[S], state: StageState[S]) -> Tensor:
+    """(B, M + 1) how surely members, and last the current skill, solve each scenario.
+
+    These are shares of replays in the models, corrected by what has happened in the world.
+    """
+    current = state.current
+    skills = [*state.members, *([] if current is None else [current.skill])]
+    rates = shares(setup, state, skills)
+    if current is None:
+        rates = torch.cat([rates, torch.zeros(len(rates), 1)], 1)
+    rates[:, :-1] *= state.trust
+    rates[state.shown < 0, -1] = 0.0
+    if state.repeats:
+        rates[state.keep, -1] = 1.0
+        if current is not None:
+            sent = current.sent_to(state.percepts)
+            sure = (state.keep & (sent >= 0)).nonzero()[:, 0]
+            rates[sure, sent[sure]] = 1.0
+            for i, member in enumerate(state.members):
+                if member is current.skill:
+                    rates[:, i] = rates[:, -1]
+    return rates
+
+
+def with_member(setup: Setup[S], state: StageState[S], missed: Tensor) -> StageState[S]:
     """The state with a specialist evolved in the models on `missed` (B,) scenarios."""
-    setup, name = stage.setup, f"{stage.name}.{state.number}"
+    name = f"{setup.name}.{state.number}"
     most = max(setup.group, WIDEST) if setup.budget.satisfied < inf else setup.group
-    rows = setup.group_of(state.percepts, missed, most, stage.generator)
+    rows = setup.group_of(state.percepts, missed, most, setup.generator)
     if len(rows) < FEWEST:
         solved = (~missed).nonzero()[:, 0]
-        some = torch.randperm(len(solved), generator=stage.generator)[:OTHERS]
+        some = torch.randperm(len(solved), generator=setup.generator)[:OTHERS]
         rows = torch.cat([rows, solved[some]])
-    champion = _specialist(stage, state, name, rows)
+    about = state.knowledge, state.scenarios[rows], state.percepts[rows], state.population
+    champion = specialist(setup, name, *about)
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     return replace(
         state,
@@ -188,65 +266,42 @@ def with_member(stage: Stage[S], state: StageState[S], missed: Tensor) -> StageS
     )
 
 
-def _specialist(stage: Stage[S], state: StageState[S], name: str, rows: Tensor) -> Population:
-    """The best individual on scenarios `rows` (R,), as small as it can be.
+def no_worse(old: Tensor, new: Tensor, keep: Tensor, gain: float = 0.0) -> bool:
+    """Whether a candidate is not worse on W and better elsewhere, by shares (B,) of replays.
 
-    With a fitness of `Budget.satisfied` on a group it goes on on twice as many. This detects chance
-    successes on a few, while most of the search runs on a few.
+    Both skills meet the same errors of Γ, so the differences on W (`keep` (B,) bool) are those of
+    pairs. Their mean may be at most `ERRORS` standard errors below 0, and at most `MOST_WORSE`. On
+    all scenarios together the candidate has to be better by `CLEAR` standard errors, and by `gain`.
     """
-    setup, step, seeds = stage.setup, name, state.population
-    size = setup.group if setup.budget.satisfied < inf else len(rows)
-    while True:
-        group = rows[:size]
-        replicas = max(setup.replicas, setup.replicas * setup.group // len(group))
-        about = state.knowledge, state.scenarios[group], state.percepts[group], replicas
-        environment = setup.imagine(*about, stage.generator, setup.device)
-        found = _best_of_searches(stage, step, environment, seeds)
-        if size >= len(rows) or found.best < setup.budget.satisfied:
-            break
-        size, seeds = 2 * size, found.champion
-        step = f"{name} on {size}"
-    how = setup.max_transitions, setup.evolution.fitness, setup.device
-    return shrunk(found.champion, setup.actions, environment, *how)
+    change = new - old
+    inside, outside = change[keep], change[~keep]
+    if len(inside):
+        slack = ERRORS * float(inside.std(correction=0)) / len(inside) ** 0.5
+        if float(inside.mean()) < -min(slack, MOST_WORSE) - 1e-6:
+            return False
+    clear = CLEAR * float(change.std(correction=0)) / len(change) ** 0.5
+    return float(outside.sum()) > 0 and float(change.mean()) > max(clear, gain)
 
 
-def _best_of_searches(
-    stage: Stage[S], name: str, environment: Environment, seeds: Population | None
-) -> Found:
-    """The best result of some evolutions, up to one that solves everything.
-
-    Every second one begins without `seeds`, which may have led the first to where it got stuck.
-    """
-    budget, best = stage.setup.budget, evolve_candidate(stage, name, environment, seeds=seeds)
-    for number in range(2, stage.setup.searches + 1):
-        if best.solved.all() or best.best >= budget.satisfied:
-            break
-        start = None if number % 2 == 0 else seeds
-        found = evolve_candidate(stage, f"{name} search {number}", environment, seeds=start)
-        best = max(best, found, key=lambda each: each.best)
-    return best
-
-
-def composed(stage: Stage[S], state: StageState[S], rates: Tensor) -> Candidate:
+def composed(setup: Setup[S], state: StageState[S], rates: Tensor) -> Candidate:
     """The smallest team that solves what its members solve, given their shares (B, M)."""
-    setup, nobody = stage.setup, torch.zeros(len(state.members), dtype=torch.bool)
+    nobody = torch.zeros(len(state.members), dtype=torch.bool)
     chosen = fewest_members(rates >= RELIABLE, nobody, FEW) or [int(rates.mean(0).argmax())]
     _, branch = branching_action(setup.actions)
     weight = torch.where(state.tried | state.targets, 3.0, 1.0)
     about = state.percepts, rates[:, chosen], weight
-    branches, _ = train_gating(branch, *about, stage.generator)
-    name, members = f"{stage.name}-{state.number}", [state.members[i] for i in chosen]
+    branches, _ = train_gating(branch, *about, setup.generator)
+    name, members = f"{setup.name}-{state.number}", [state.members[i] for i in chosen]
     skill = compose(name, members, branches, setup.actions, setup.max_transitions)
     return Candidate(skill, tuple(chosen), branches)
 
 
-def learned(stage: Stage[Any], models: Models, experience: Dataset) -> Models:
+def learned(setup: Setup[Any], models: Models, experience: Dataset) -> Models:
     """The models after learning from experience; unchanged if nothing learns."""
-    setup = stage.setup
     if setup.learn is None:
         return models
     began = time.perf_counter()
-    models = setup.learn(models, experience, stage.generator)
+    models = setup.learn(models, experience, setup.generator)
     summary = replace(setup.describe(models), first=False)
-    stage.watch(ModelsFitted(stage.name, summary, time.perf_counter() - began))
+    setup.watch(ModelsFitted(setup.name, summary, time.perf_counter() - began))
     return models

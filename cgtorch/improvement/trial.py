@@ -14,9 +14,8 @@ from cgtorch.graphs import Skill
 from cgtorch.ground.asked import NAMES, Asked, Purse
 from cgtorch.ground.environment import Dataset, Environment, Episode, Live
 from cgtorch.ground.errors import RunError
-from cgtorch.improvement.events import WorldAsked
-from cgtorch.improvement.interfaces import S
-from cgtorch.improvement.setup import Stage
+from cgtorch.improvement.events import S, WorldAsked
+from cgtorch.improvement.setup import Setup
 from cgtorch.simulation import Recording, rollout
 
 
@@ -115,9 +114,9 @@ def first_percepts(world: Environment) -> Tensor:
     return world.start(torch.arange(world.num_scenarios))[1]
 
 
-def looked(stage: Stage[S], scenarios: S) -> Tensor:
+def looked(setup: Setup[S], scenarios: S) -> Tensor:
     """(B, D) first percepts, which are paid for, from the journal if possible."""
-    setup, step, asked = stage.setup, "looks", Asked(looks=len(scenarios))
+    step, asked = "looks", Asked(looks=len(scenarios))
     known = setup.journal.recall(step)
     if known is not None:
         setup.purse.add(step, asked)
@@ -135,21 +134,21 @@ def looked(stage: Stage[S], scenarios: S) -> Tensor:
         setup.purse.pay(step, asked)
         percepts = first_percepts(setup.world_of(scenarios))
         setup.journal.record(step, {"percepts": percepts})
-    stage.watch(WorldAsked(stage.name, step, asked, recalled=known is not None))
+    setup.watch(WorldAsked(setup.name, step, asked, recalled=known is not None))
     return percepts
 
 
 def attempt(
-    stage: Stage[S], skill: Skill, scenarios: S, phase: str, most: int | None = None
+    setup: Setup[S], skill: Skill, scenarios: S, phase: str, most: int | None = None
 ) -> Trial:
     """The result of `try_skill`, from the journal if possible.
 
     RunError if that does not fit, BudgetSpentError if the purse does not cover it.
     """
-    setup, step = stage.setup, f"trial of {skill.name}"
+    step = f"trial of {skill.name}"
     world = setup.world_of(scenarios)
     if isinstance(world, Live):  # its own log recalls it
-        world.told(phase, stage.name)
+        world.told(phase, setup.name)
         known, trial = None, try_skill(skill, world, setup.purse, phase, most)
     elif (known := setup.journal.recall(step)) is not None:
         trial = trial_from(known, len(scenarios))
@@ -158,7 +157,7 @@ def attempt(
         trial = try_skill(skill, world, setup.purse, phase, most)
         setup.journal.record(step, trial_tensors(trial))
     about = trial.asked, int(trial.succeeded.sum()), known is not None
-    stage.watch(WorldAsked(stage.name, phase, *about))
+    setup.watch(WorldAsked(setup.name, phase, *about))
     return trial
 
 

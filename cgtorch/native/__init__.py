@@ -1,6 +1,5 @@
 """Compiled code of the hot paths. Without a C compiler, torch computes all but arms' kinematics."""
 
-from cgtorch.native.library import NO_PARENT as NO_PARENT
 from cgtorch.native.library import VECTOR as VECTOR
 from cgtorch.native.library import WRONG_GRAPHS as WRONG_GRAPHS
 from cgtorch.native.library import alike as alike

@@ -10,7 +10,7 @@
   const int64_t values_of_##group[] = {__VA_ARGS__};
 
 /* The return values of functions. */
-enum { DONE, NO_MEMORY, WRONG_GRAPHS, NO_PARENT };
+enum { DONE, NO_MEMORY, WRONG_GRAPHS };
 
 /* Pieces of work, which threads take off a common counter (thread_pool.c). */
 typedef void (*Piece)(void *what, int64_t begin, int64_t end);

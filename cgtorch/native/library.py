@@ -28,8 +28,8 @@ FROM_WHEEL = Path(__file__).parent / "compiled"
 """The folder of libraries that came with a wheel."""
 VECTOR = 64
 """The size of a vector of numbers in bytes, as in real.h."""
-WRONG_GRAPHS, NO_PARENT = 2, 3
-FAILURES = {"DONE": 0, "NO_MEMORY": 1, "WRONG_GRAPHS": WRONG_GRAPHS, "NO_PARENT": NO_PARENT}
+WRONG_GRAPHS = 2
+FAILURES = {"DONE": 0, "NO_MEMORY": 1, "WRONG_GRAPHS": WRONG_GRAPHS}
 """The return values of functions, as in library.h."""
 
 

@@ -24,7 +24,7 @@ from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import RobotError, SettingsError
 from cgtorch.ground.fields import Field, named
 from cgtorch.ground.files import place_of, read_bytes, write_bytes
-from cgtorch.improvement.grouping import broad_group
+from cgtorch.improvement.compose import broad_group
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.data import WITHIN, Scenes, collect, motions_to_try

@@ -13,7 +13,7 @@ from torch import Generator
 
 from cgtorch.domains.domain import Domain
 from cgtorch.evolution.fitness import WORTHLESS
-from cgtorch.evolution.islands import derived_generator
+from cgtorch.evolution.search import derived_generator
 from cgtorch.graphs import Skill, merged
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.files import write_json

@@ -31,8 +31,7 @@ from cgtorch.ground.environment import Dataset, Environment, Live
 from cgtorch.ground.files import whole_folder, write_json
 from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.events import ModelsFitted, Watch, WorldAsked
-from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.stopping import Budget
+from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.runs.journal import SECONDS
 from cgtorch.runs.storage import load_progress, read_asked, save_progress
 from cgtorch.runs.stored_run import StoredRun

@@ -5,7 +5,7 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.data_files import check_enough, read_data
 from cgtorch.domains.knowledge import MOST_LABELS, MOST_TRANSITIONS, taken
-from cgtorch.evolution.islands import derived_generator
+from cgtorch.evolution.search import derived_generator
 from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.stored_run import StoredRun

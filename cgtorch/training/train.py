@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Any, TypeAlias
 
@@ -14,6 +14,7 @@ from cgtorch.graphs import Skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError
 from cgtorch.ground.files import whole_folder, write_json
+from cgtorch.improvement.checkpoint import Found
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
@@ -24,8 +25,7 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress, Stage
-from cgtorch.improvement.stopping import Found
+from cgtorch.improvement.setup import Progress
 from cgtorch.runs.journal import forget, journal_of
 from cgtorch.runs.ledger import enter, entry_of
 from cgtorch.runs.storage import load_progress, load_result, save_progress
@@ -199,9 +199,10 @@ def make_stage(
         return run.domain.draw(kind, count, generator)
 
     with journal_of(run.folder, name, training.watch, training.checkpoint_seconds) as journal:
-        stage = Stage(training.setup(name, journal), name, generator, listen)
+        setup = training.setup(name, journal)
+        setup = replace(setup, name=name, generator=generator, watch=listen)
         began, method = time.perf_counter(), METHODS[run.settings.method]
-        after = method(stage, before, tests, draw)
+        after = method(setup, before, tests, draw)
         tally.seconds = time.perf_counter() - began
         made = test(after, tally)
         if made is not None:

@@ -21,7 +21,7 @@ from cgtorch.domains.knowledge import (
     taken,
 )
 from cgtorch.ground.environment import Dataset, start_lanes
-from cgtorch.improvement.grouping import local_group
+from cgtorch.improvement.compose import local_group
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.data import Scenes, collect

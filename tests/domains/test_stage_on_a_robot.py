@@ -1,6 +1,7 @@
 """A whole stage on a robot, from models of what it has met to a skill, killed and resumed."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,7 @@ from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DomainError
 from cgtorch.improvement.events import Event, ModelsFitted, Practised, SkillAccepted
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress, Setup, Stage
-from cgtorch.improvement.stopping import Budget
+from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.runs.journal import FileJournal
 
 
@@ -74,7 +74,7 @@ def staged(
         return domain.draw("near", count, generator)
 
     none = draw(0, Generator())
-    stage = Stage(setup, "S0", seeded(0), watch)
+    stage = replace(setup, name="S0", generator=seeded(0), watch=watch)
     return improve(stage, Progress(None, none, none, known), domain.tests("near"), draw)
 
 

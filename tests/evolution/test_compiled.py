@@ -12,7 +12,7 @@ from support import as_double, custom_actions, nested_actions, same, seeded
 from torch import Tensor
 
 from cgtorch.evolution import EvolutionSettings, Population, compiled, initial_state, tell
-from cgtorch.evolution.offspring import crossover, mutate, offspring
+from cgtorch.evolution.operators import crossover, mutate, offspring
 from cgtorch.evolution.population import STRATEGY, random_population, slim
 from cgtorch.evolution.selection import deviation, lexicase
 from cgtorch.graphs import NO_NODE, ActionSet, trimmed, valid

@@ -9,9 +9,9 @@ from support import nested_actions, random_graphs, same, seeded
 from torch import Generator, Tensor
 
 from cgtorch.evolution import Population, compiled
-from cgtorch.evolution import crossover as module
-from cgtorch.evolution.crossover import graft, group, undirected_distance
-from cgtorch.evolution.offspring import crossover
+from cgtorch.evolution import operators_in_torch as module
+from cgtorch.evolution.operators import crossover
+from cgtorch.evolution.operators_in_torch import graft, group, undirected_distance
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import NO_NODE, Graphs, compacted, to_networkx
 from cgtorch.ground.counter_rng import keys, random_key, words

@@ -23,7 +23,7 @@ from cgtorch.evolution.fitness import WORST, WORTHLESS
 from cgtorch.evolution.selection import deviation
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import SettingsError
-from cgtorch.improvement.shrink import READABLE, shrunk
+from cgtorch.improvement.specialists import READABLE, shrunk
 from cgtorch.simulation import Rollouts, rollout
 from cgtorch.tabletop.actions import paper_actions
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from cgtorch.evolution import EvolutionSettings, chance_of_success, evolve
 from cgtorch.evolution.fitness import Fitness
 from cgtorch.graphs import ActionSet
-from cgtorch.improvement.shrink import shrunk
+from cgtorch.improvement.specialists import shrunk
 from cgtorch.simulation import ModelEnvironment, Rollouts
 from cgtorch.tabletop.actions import paper_actions
 

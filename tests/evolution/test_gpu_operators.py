@@ -11,10 +11,9 @@ from random_models import models_as, random_models
 from support import nested_actions, seeded
 from torch import Generator, Tensor
 
-from cgtorch.evolution import EvolutionSettings, compiled, evolve, gpu
+from cgtorch.evolution import EvolutionSettings, compiled, evolve
 from cgtorch.evolution.compiled import lexicase as lexicase_in_c
-from cgtorch.evolution.offspring import breed
-from cgtorch.evolution.parameters import with_new_origins
+from cgtorch.evolution.operators import breed, with_new_origins
 from cgtorch.evolution.population import Population, random_population
 from cgtorch.evolution.selection import deviation, lexicase, tournament
 from cgtorch.graphs import ActionSet, ContinuousNN
@@ -67,7 +66,7 @@ def test_children_are_the_same(mutates: bool, dtype: torch.dtype, launcher: Laun
     wanted, strategy, begins = breed(*about)
     there = launcher.device
     moved = population.to(there), elite.to(there), parents.to(there), *about[3:]
-    made, same_strategy = gpu.breed(launcher, *moved)
+    made, same_strategy = compiled.breed(*moved, launcher)
     if mutates:
         made, found_begins = with_new_origins(made, OWN.standard)
         assert found_begins == begins
@@ -80,7 +79,7 @@ def test_children_are_the_same(mutates: bool, dtype: torch.dtype, launcher: Laun
         on_cpu = compiled.perturb_parameters(wanted, old, fresh, OWN, strategy, 0.05, 2, 99)
         given = made, old.to(there), fresh.to(there), OWN, same_strategy
         for one, other in zip(
-            on_cpu, gpu.perturb_parameters(launcher, *given, 0.05, 2, 99), strict=True
+            on_cpu, compiled.perturb_parameters(*given, 0.05, 2, 99, launcher), strict=True
         ):
             assert torch.equal(one, other.cpu())
 
@@ -89,7 +88,7 @@ def test_parents_outside_are_refused() -> None:
     population = population_of(1, PAPER)
     parents = torch.tensor([0, 60])
     with pytest.raises(IndexError, match="not in the population"):
-        gpu.breed(EmulatedGpu(), population, parents[:0], parents, (1, 2), PAPER, 12)
+        compiled.breed(population, parents[:0], parents, (1, 2), PAPER, 12, EmulatedGpu())
 
 
 def scores_of(kind: str, seed: int, size: int, scenarios: int) -> Tensor:
@@ -113,7 +112,7 @@ def test_one_group_has_the_same_parents(
     scores = scores_of(kind, size, size, scenarios).to(dtype)
     wanted = lexicase_in_c(scores, deviation(scores), 40, 17)
     members = torch.arange(size, device=launcher.device)
-    found = gpu.lexicase(launcher, scores.to(launcher.device), members, [17], 40)
+    found = compiled.lexicase_on_gpu(launcher, scores.to(launcher.device), members, [17], 40)
     assert torch.equal(found.cpu(), wanted)
     assert kind == "equal" or size == 2 or len(wanted.unique()) > 3
 
@@ -121,7 +120,8 @@ def test_one_group_has_the_same_parents(
 @pytest.mark.parametrize("launcher", launchers(), ids=device_name)
 @pytest.mark.parametrize("count", [1, 5, 1000])
 def test_orders_are_the_same(count: int, launcher: Launcher) -> None:
-    assert torch.equal(gpu.shuffled(launcher, count, -3).cpu(), shuffled(count, -3))
+    found = compiled.shuffled(count, -3, launcher.device, launcher)
+    assert torch.equal(found.cpu(), shuffled(count, -3))
 
 
 @pytest.fixture
@@ -151,7 +151,7 @@ def test_whole_evolutions_are_the_same(actions: ActionSet, selection: object) ->
     def evolved(where: ModelEnvironment, kept: Tensor) -> list[Population]:
         found = []
         for generation in islice(evolve(where, actions, settings, seeded(0), keep=kept), 5):
-            found += [i.state.population.to("cpu") for i in generation.islands]
+            found += [i.population.to("cpu") for i in generation.islands]
             found.append(generation.champion)
             # Engines in torch and for own actions find out about endless loops at other times.
             executed = 0 if actions is OWN else generation.executed

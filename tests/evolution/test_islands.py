@@ -12,15 +12,10 @@ from torch import Generator, Tensor
 
 from cgtorch.evolution import EvolutionSettings, Population, evolve, initial_state, tell
 from cgtorch.evolution.fitness import evaluator
-from cgtorch.evolution.islands import (
-    Tried,
-    derived_generator,
-    emigrants,
-    first_islands,
-    migrated,
-)
 from cgtorch.evolution.population import join, random_population, slim
-from cgtorch.evolution.search import Generation
+from cgtorch.evolution.search import Generation, derived_generator, emigrants, migrated
+from cgtorch.evolution.selection import Evaluated
+from cgtorch.graphs import widened
 
 ACTIONS = custom_actions()
 SETTINGS = EvolutionSettings(population=20, capacity=10, initial_nodes=(2, 8))
@@ -36,16 +31,17 @@ def same(one: Population, other: Population) -> bool:
     return all(torch.equal(a, b) for a, b in pairs)
 
 
-def tried(seed: int, size: int, fitness: list[float]) -> Tried:
+def tried(seed: int, size: int, fitness: list[float]) -> Evaluated:
     generator = seeded(seed)
     population = random_population(size, ACTIONS, 10, (2, 8), generator)
     scores = torch.rand(size, 3, generator=generator)
-    return Tried(population, torch.tensor(fitness), scores, scores > 0.5)
+    return Evaluated(population, torch.tensor(fitness), scores)
 
 
-def rows(each: Tried) -> list[bytes]:
+def rows(each: Evaluated) -> list[bytes]:
     """Each individual with all that it achieved, as bytes."""
-    columns = each.tensors()
+    graphs = widened(each.population.graphs, 10)
+    columns = *vars(graphs).values(), each.population.strategy, each.fitness, each.scores
     return [
         b"".join(values[i].contiguous().numpy().tobytes() for values in columns)
         for i in range(len(each.population))
@@ -63,7 +59,7 @@ def generations(settings: EvolutionSettings, seed: int, count: int) -> list[Gene
 def test_the_best_tenth_leaves_and_the_worst_make_room(seed: int, fitness: list[float]) -> None:
     here = tried(seed, len(fitness), fitness)
     there = tried(seed + 1, len(fitness), [x + 1 for x in reversed(fitness)])
-    leaving = emigrants(there, there.population.graphs.capacity)
+    leaving = emigrants(there)
     count = max(1, len(fitness) // 10)
     assert sorted(leaving.fitness.tolist()) == sorted(there.fitness.tolist())[-count:]
     assert set(rows(leaving)) <= set(rows(there))
@@ -147,7 +143,7 @@ def test_islands_are_those_of_the_reference(count: int, migration: int) -> None:
     for one, wanted in zip(found, plainly(count, migration, 6), strict=True):
         assert len(one.islands) == count
         for island, population in zip(one.islands, wanted, strict=True):
-            assert same(island.state.population, population)
+            assert same(island.population, population)
 
 
 def test_until_they_migrate_islands_know_nothing_of_one_another() -> None:
@@ -156,9 +152,9 @@ def test_until_they_migrate_islands_know_nothing_of_one_another() -> None:
     for number in range(4):
         for i in range(2):
             islands = two[number].islands[i], three[number].islands[i]
-            assert same(*(each.state.population for each in islands))
+            assert same(*(each.population for each in islands))
     # The first island's arrivals are from the second of two, and from the third of three.
-    assert not same(*(each[4].islands[0].state.population for each in (two, three)))
+    assert not same(*(each[4].islands[0].population for each in (two, three)))
 
 
 def test_the_champion_is_the_best_of_all_islands() -> None:
@@ -166,18 +162,18 @@ def test_the_champion_is_the_best_of_all_islands() -> None:
     winners, bests = set(), []
     for found in generations(settings, 4, 6):
         results = [
-            evaluator(ACTIONS, model(0, 3), keep)(island.state.population.graphs)
+            evaluator(ACTIONS, model(0, 3), keep)(island.population.graphs)
             for island in found.islands
         ]
         fitness: Tensor = torch.stack([r.fitness for r in results])
-        sizes = torch.stack([i.state.population.graphs.num_nodes for i in found.islands])
+        sizes = torch.stack([i.population.graphs.num_nodes for i in found.islands])
         assert found.best == float(fitness.max())
         equal = (fitness == fitness.max()) & (sizes == sizes[fitness == fitness.max()].min())
         island, row = equal.nonzero()[0].tolist()
-        assert same(found.champion, found.islands[island].state.population[row : row + 1])
+        assert same(found.champion, found.islands[island].population[row : row + 1])
         assert torch.equal(found.succeeded, results[island].succeeded[row])
         assert found.transitions == sum(r.transitions for r in results)
-        assert found.population is found.islands[0].state.population
+        assert found.population is found.islands[0].population
         assert torch.equal(found.fitness, results[0].fitness)
         winners.add(island)
         bests.append(found.best)
@@ -188,9 +184,10 @@ def test_the_champion_is_the_best_of_all_islands() -> None:
 def test_islands_that_are_given_go_on() -> None:
     settings = replace(SETTINGS, islands=3, migration=2)
     whole = generations(settings, 4, 6)
-    begun = first_islands(range(3), settings, ACTIONS, seeded(4))
+    own = [derived_generator(seeded(4), number) for number in range(3)]
+    begun = [initial_state(settings, ACTIONS, each) for each in own]
     assert all(
-        same(one.state.population, other.state.population)
+        same(one.population, other.population)
         for one, other in zip(begun, whole[0].islands, strict=True)
     )
     search = evolve(model(0, 3), ACTIONS, settings, seeded(4))

@@ -18,7 +18,6 @@ from cgtorch.evolution import (
     tell,
     tournament,
 )
-from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.lineages import (
     RUNGS,
@@ -30,9 +29,9 @@ from cgtorch.evolution.lineages import (
     tunable,
 )
 from cgtorch.evolution.population import random_population
+from cgtorch.evolution.selection import Evaluated
 from cgtorch.ground.errors import SettingsError
-from cgtorch.improvement.checkpoint import checkpoint_of, islands_from
-from cgtorch.improvement.stopping import Found
+from cgtorch.improvement.checkpoint import Found, checkpoint_of, islands_from
 from cgtorch.runs.journal import FileJournal
 
 ACTIONS = custom_actions()

@@ -10,16 +10,16 @@ from support import custom_actions, random_graphs, same, seeded
 from torch import Tensor
 
 from cgtorch.evolution import STRATEGY, Population, initial_strategy
-from cgtorch.evolution.offspring import mutate
-from cgtorch.evolution.parameters import perturb_parameters, with_new_origins, with_origins
-from cgtorch.evolution.population import TAU
-from cgtorch.evolution.structure import (
+from cgtorch.evolution.operators import mutate, perturb_parameters, with_new_origins
+from cgtorch.evolution.operators_in_torch import (
     add_node,
     change_edges,
     delete_node,
     new_start,
     replace_nodes,
+    with_origins,
 )
+from cgtorch.evolution.population import TAU
 from cgtorch.graphs import NO_NODE, Graphs, compacted
 
 ACTIONS = custom_actions()

@@ -20,7 +20,7 @@ from cgtorch.evolution import (
     mutate,
     tell,
 )
-from cgtorch.evolution.offspring import crossover
+from cgtorch.evolution.operators import crossover
 from cgtorch.evolution.population import random_graphs, random_population
 from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned, widened
 from cgtorch.ground.errors import SettingsError

@@ -16,9 +16,9 @@ from cgtorch.evolution import (
     tell,
     tournament,
 )
-from cgtorch.evolution import structure as m
-from cgtorch.evolution.offspring import crossover, mutate
-from cgtorch.evolution.parameters import perturb_parameters, with_origins
+from cgtorch.evolution import operators_in_torch as m
+from cgtorch.evolution.operators import crossover, mutate, perturb_parameters
+from cgtorch.evolution.operators_in_torch import with_origins
 from cgtorch.evolution.population import TAU, random_population, seeded_population
 from cgtorch.graphs import ActionSet, pruned, valid
 from cgtorch.tabletop.actions import paper_actions

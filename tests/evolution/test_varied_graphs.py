@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import custom_actions, seeded
 
-from cgtorch.evolution.varied_graphs import looping, occurrence, varied_graphs
+from cgtorch.evolution.population import looping, occurrence, varied_graphs
 from cgtorch.graphs import (
     ActionSet,
     BranchingNN,
@@ -60,7 +60,7 @@ def test_looping_is_strongly_connected(seed: int, size: int) -> None:
 
 
 def test_what_does_not_loop_comes_last(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cgtorch.evolution.varied_graphs.DRAWN", 1)
+    monkeypatch.setattr("cgtorch.evolution.population.DRAWN", 1)
     loops = looping(varied_graphs(60, custom_actions(), 6, (3, 6), seeded(0))).tolist()
     assert loops == sorted(loops, reverse=True)
     assert True in loops

@@ -5,10 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from cgtorch.improvement.acceptance import (
+from cgtorch.improvement.team import (
     CLEAR,
     ERRORS,
-    MOST,
+    MOST_WORSE,
     no_worse,
 )
 
@@ -63,7 +63,7 @@ def plainly(old: Tensor, new: Tensor, keep: Tensor) -> bool:
     change = [float(new[i] - old[i]) for i in rows]
     inside = [change[i] for i in rows if keep[i]]
     outside = [change[i] for i in rows if not keep[i]]
-    if inside and mean(inside) < -min(ERRORS * error(inside), MOST) - 1e-6:
+    if inside and mean(inside) < -min(ERRORS * error(inside), MOST_WORSE) - 1e-6:
         return False
     return sum(outside) > 0 and mean(change) > CLEAR * error(change)
 

@@ -28,8 +28,7 @@ from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
 from cgtorch.improvement.events import Event, SkillAccepted, WorldAsked
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress
-from cgtorch.improvement.stopping import Budget
+from cgtorch.improvement.setup import Budget, Progress
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
 

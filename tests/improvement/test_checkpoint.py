@@ -14,13 +14,13 @@ from cgtorch.evolution import EvolutionSettings, Generation, evolve
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.checkpoint import (
     Checkpoint,
+    Found,
     checkpoint_of,
     found_from,
     found_tensors,
-    island_tensors,
     islands_from,
+    state_tensors,
 )
-from cgtorch.improvement.stopping import Found
 from cgtorch.runs.journal import FileJournal
 
 ACTIONS = custom_actions()
@@ -54,9 +54,9 @@ def test_what_is_kept_is_what_is_read(count: int, tmp_path: Path) -> None:
     islands = islands_from(checkpoint, ACTIONS, generator, count)
     assert islands[0].generator is generator
     for island, wanted, state in zip(islands, generation.islands, states, strict=True):
-        assert same(island.state.population.graphs, wanted.state.population.graphs)
-        assert torch.equal(island.state.population.strategy, wanted.state.population.strategy)
-        assert island.state.generation == wanted.state.generation == 1
+        assert same(island.population.graphs, wanted.population.graphs)
+        assert torch.equal(island.population.strategy, wanted.population.strategy)
+        assert island.generation == wanted.generation == 1
         assert torch.equal(island.generator.get_state(), state)
 
 
@@ -102,7 +102,7 @@ def test_another_count_of_islands_is_refused() -> None:
 def test_an_island_that_makes_no_sense_is_one_error(bad: dict[str, Any]) -> None:
     """Whole files with nonsense in them: somebody wrote them on purpose."""
     generation = second_generation(2)
-    tensors: dict[str, Tensor] = island_tensors(generation.islands[1])
+    tensors: dict[str, Tensor] = state_tensors(generation.islands[1])
     odd = {name: value for name, value in {**tensors, **bad}.items() if value is not None}
     checkpoint = stands(generation)
     parts = (checkpoint.parts[0], partial(dict, odd))

@@ -14,10 +14,10 @@ from torch import Tensor
 from watched import NONE, Watched, along, keys, known, of_kind, recruited, stage_of, without_models
 
 from cgtorch.graphs import Skill
+from cgtorch.improvement.compose import cover
 from cgtorch.improvement.events import Event, SkillAccepted, WorldTested
-from cgtorch.improvement.grouping import cover
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress, Stage
+from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.team import StageState
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import random_scenarios
@@ -69,7 +69,7 @@ def begun() -> Progress[Any]:
 def far_is_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """In the models the far one solves all, and others what they solve in the world."""
 
-    def shares(stage: Stage[Any], state: StageState[Any], skills: list[Skill]) -> Tensor:
+    def shares(setup: Setup[Any], state: StageState[Any], skills: list[Skill]) -> Tensor:
         world = world_of(state.scenarios)
         found = [try_skill(skill, world).succeeded.float() for skill in skills]
         trusted = [skill.depth == 1 and skill.num_nodes == 3 for skill in skills]
@@ -82,7 +82,7 @@ def far_is_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
             1,
         )
 
-    monkeypatch.setattr("cgtorch.improvement.proposing.shares", shares)
+    monkeypatch.setattr("cgtorch.improvement.team.shares", shares)
 
 
 @pytest.mark.parametrize("core", [1, 2, 6, 1000])

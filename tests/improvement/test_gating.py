@@ -12,9 +12,13 @@ from torch import Tensor
 from cgtorch.graphs import BranchingNN
 from cgtorch.ground.environment import start_lanes
 from cgtorch.improvement import gating as gate
-from cgtorch.improvement import gating_gradient
-from cgtorch.improvement.gating import _most_reliable, _unscaled, selected_members, train_gating
-from cgtorch.improvement.gating_gradient import gradient_of
+from cgtorch.improvement.gating import (
+    _most_reliable,
+    _unscaled,
+    gradient_of,
+    selected_members,
+    train_gating,
+)
 
 BRANCH = BranchingNN()
 
@@ -36,7 +40,7 @@ def test_sets_that_can_be_separated_are(members: int) -> None:
 
 
 def test_sets_are_separated_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gating_gradient, "function", lambda name, dtype: None)
+    monkeypatch.setattr(gate, "function", lambda name, dtype: None)
     test_sets_that_can_be_separated_are(3)
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from cgtorch import native
 from cgtorch.graphs import BranchingNN
-from cgtorch.improvement.gating_gradient import gradient_in_torch, gradient_of
+from cgtorch.improvement.gating import gradient_in_torch, gradient_of
 from cgtorch.native import available
 
 RESTARTS = 3

@@ -23,8 +23,7 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress, Setup, Stage
-from cgtorch.improvement.stopping import Budget
+from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, random_scenarios, stage_scenarios
 
@@ -37,7 +36,7 @@ def stage(
 ) -> tuple[Progress, Told]:
     """One stage on an edge: five placements, and fresh ones to practise on."""
     told: Told = []
-    about = Stage(setup, name, seeded(seed), told.append)
+    about = replace(setup, name=name, generator=seeded(seed), watch=told.append)
     after = METHODS[method](about, progress, stage_scenarios(edge), along(edge))
     return after, told
 

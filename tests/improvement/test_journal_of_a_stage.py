@@ -22,7 +22,7 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress, Setup, Stage
+from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.runs.journal import FileJournal
 from cgtorch.tabletop.world import stage_scenarios
 
@@ -32,7 +32,7 @@ METHODS: dict[str, Callable[..., Progress]] = {"compose": improve, "paper": grow
 def stage(
     method: str, setup: Setup, progress: Progress, watch: Callable[[Event], None]
 ) -> Progress:
-    about = Stage(setup, "S0", seeded(0), watch)
+    about = replace(setup, name="S0", generator=seeded(0), watch=watch)
     return METHODS[method](about, progress, stage_scenarios("near"), along("near"))
 
 

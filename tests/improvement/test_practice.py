@@ -14,9 +14,8 @@ from torch import Generator
 from watched import NONE, Watched, along, first_stage, keys, of_kind, recruited, stage_of
 from watched import without_models as setup_of
 
-from cgtorch.improvement.acting import BATCH, FIRST, LONG
 from cgtorch.improvement.events import Event, Practised, SkillAccepted
-from cgtorch.improvement.improve import IDLE, improve
+from cgtorch.improvement.improve import BATCH, FIRST, IDLE, LONG, improve
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios
 

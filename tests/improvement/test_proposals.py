@@ -10,11 +10,10 @@ from reaching import unrepeatable, world_of
 from support import seeded
 from watched import NONE, first_stage, of_kind, recruited, stage_of, state_of, without_models
 
-from cgtorch.improvement import proposing
+from cgtorch.improvement import team
 from cgtorch.improvement.events import Event, Practised
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.proposing import REFLECT, WORTH
-from cgtorch.improvement.team import Candidate
+from cgtorch.improvement.team import REFLECT, WORTH, Candidate
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios
 
@@ -35,7 +34,7 @@ def test_what_the_world_has_shown_of_a_skill_counts_whatever_the_models_say(
     for w, taken in ((BOTH[:20], True), (NEITHER[:20], False)):
         scenarios, keep = w.joined(ONLY_BEST[:40]), torch.arange(60) < 20
         state = state_of(scenarios, (BEST,), keep, current=idle, repeats=False)
-        chosen, _ = proposing._candidate(stage_of(without_models(max_transitions=6)), state)
+        chosen, _ = team._candidate(stage_of(without_models(max_transitions=6)), state)
         assert (chosen is not idle) is taken
 
 
@@ -51,7 +50,7 @@ def test_a_skill_that_does_not_fail_gives_way_to_one_that_is_clearly_better() ->
         poor = Candidate(POOR)
         about: dict[str, Any] = {"current": poor, "repeats": False, "in_a_row": in_a_row}
         state = state_of(scenarios, (BEST,), **about)
-        chosen, after = proposing._candidate(stage_of(without_models(max_transitions=6)), state)
+        chosen, after = team._candidate(stage_of(without_models(max_transitions=6)), state)
         assert (chosen is not poor) is taken
         assert after.number == state.number + 1
 
@@ -62,7 +61,7 @@ def test_a_stage_ends_when_the_models_know_nobody_better(
 ) -> None:
     """Though the first skill has solved all that came; the better one has to show that it can."""
     recruited(monkeypatch, POOR, BEST)
-    monkeypatch.setattr(proposing, "THOUGHTS", thoughts)
+    monkeypatch.setattr(team, "THOUGHTS", thoughts)
 
     def draw(count: int, generator: torch.Generator) -> Scenarios:
         return ONLY_BEST[:10].joined(BOTH[: count - 10]) if count == 30 else BOTH[30:][:count]
@@ -93,6 +92,6 @@ def test_where_the_world_repeats_itself_one_candidate_is_enough(
     """The world judges it at once, and what it loses is seen there."""
     left = recruited(monkeypatch, POOR, BEST)
     state = replace(state_of(BOTH[:5].joined(ONLY_BEST[:5])), repeats=True)
-    _, after = proposing.proposed(stage_of(without_models(max_transitions=6)), state)
+    _, after = team.proposed(stage_of(without_models(max_transitions=6)), state)
     assert after.number == 1
     assert left == [BEST]

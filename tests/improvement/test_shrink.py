@@ -5,7 +5,7 @@ from support import model, random_graphs
 
 from cgtorch.evolution import Population, evaluator, initial_strategy
 from cgtorch.graphs import valid
-from cgtorch.improvement.shrink import READABLE, SLACK, _without_each, shrunk
+from cgtorch.improvement.specialists import READABLE, SLACK, _without_each, shrunk
 from cgtorch.tabletop.actions import paper_actions
 
 ACTIONS = paper_actions()

@@ -17,11 +17,12 @@ from watched import along, first_stage, of_kind, stage_of, state_of, without_mod
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.ground.asked import Asked
 from cgtorch.ground.environment import Dataset
-from cgtorch.improvement import team
+from cgtorch.improvement import specialists, team
+from cgtorch.improvement.checkpoint import Found
 from cgtorch.improvement.compose import branching_action
 from cgtorch.improvement.events import GenerationDone
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.stopping import Budget, Found
+from cgtorch.improvement.setup import Budget
 from cgtorch.improvement.team import (
     BLAME,
     FEW,
@@ -161,8 +162,8 @@ def test_few_missed_scenarios_are_joined_by_solved_ones(
     which = torch.randperm(missed + solved, generator=seeded(1)) < missed
     state = state_of(scenarios, (nearly(0.1),))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(team, "evolve_candidate", lambda *about, **how: found)
-        patch.setattr(team, "shrunk", lambda champion, *about: champion)
+        patch.setattr(specialists, "evolve_candidate", lambda *about, **how: found)
+        patch.setattr(specialists, "shrunk", lambda champion, *about: champion)
         setup = replace(without_models(replicas=replicas, group=group), imagine=imagine)
         after = with_member(stage_of(setup), replace(state, number=7), which)
     rows = [scenarios.seed.tolist().index(s) for s in told["scenarios"].seed.tolist()]
@@ -200,8 +201,8 @@ def test_what_is_good_enough_on_few_scenarios_goes_on_with_more(
     for satisfied, wanted in ((0.5, groups), (float("inf"), [8])):
         told.clear(), names.clear(), began.clear()
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(team, "evolve_candidate", evolved)
-            patch.setattr(team, "shrunk", lambda champion, *about: champion)
+            patch.setattr(specialists, "evolve_candidate", evolved)
+            patch.setattr(specialists, "shrunk", lambda champion, *about: champion)
             budget = Budget(satisfied=satisfied)
             setup = replace(without_models(group=8, budget=budget, searches=1), imagine=imagine)
             with_member(stage_of(setup), state_of(scenarios), torch.ones(50, dtype=torch.bool))
@@ -284,10 +285,10 @@ def test_the_best_search_is_kept(results: list[tuple[float, bool]]) -> None:
         return left.pop(0)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(team, "evolve_candidate", evolved)
+        patch.setattr(specialists, "evolve_candidate", evolved)
         setup = without_models(searches=len(results))
         nothing: Any = None
-        found = team._best_of_searches(stage_of(setup), "S1.1", nothing, seeds)
+        found = specialists.best_of_searches(stage_of(setup), "S1.1", nothing, seeds)
     made = len(results) - len(left)
     assert found.best == max(each.best for each in every[:made])
     assert given_ == [None if i % 2 else seeds for i in range(made)]

@@ -29,10 +29,9 @@ from watched import (
 from cgtorch.graphs import Skill
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.environment import Lanes
-from cgtorch.improvement.acting import DECISIVE
 from cgtorch.improvement.events import ChanceFound, Event, Practised, SkillAccepted, WorldAsked
-from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress, Setup, Stage
+from cgtorch.improvement.improve import DECISIVE, improve
+from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.team import FEWEST, MOST, PATIENCE, StageState
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, random_scenarios, stage_scenarios
@@ -139,13 +138,13 @@ def test_a_candidate_that_is_worse_on_w_in_replays_does_not_act(
     first, second = (try_skill(m, world_of(scenarios)).succeeded for m in (earlier, far))
     progress = known(world_of, earlier, scenarios[first], scenarios[second & ~first])
 
-    def shares(stage: Stage[Any], state: StageState[Any], skills: list[Skill]) -> Tensor:
+    def shares(setup: Setup[Any], state: StageState[Any], skills: list[Skill]) -> Tensor:
         """Whoever is not the earlier skill solves all but W, of which it solves this share."""
         w = state.keep.float()
         other = torch.where(state.keep, share, 1.0)
         return torch.stack([w if skill.name == "S0" else other for skill in skills], 1)
 
-    monkeypatch.setattr("cgtorch.improvement.proposing.shares", shares)
+    monkeypatch.setattr("cgtorch.improvement.team.shares", shares)
     recruited(monkeypatch, far)
     told: list[Event] = []
     watched = Watched(unrepeatable)

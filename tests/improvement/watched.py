@@ -14,7 +14,7 @@ from torch import Tensor
 from cgtorch.graphs import Skill
 from cgtorch.ground.environment import Lanes
 from cgtorch.improvement.events import Event
-from cgtorch.improvement.setup import Progress, Setup, Stage
+from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.team import StageState
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, random_scenarios, stage_scenarios
@@ -113,8 +113,8 @@ def stage_of(
     watch: Callable[[Event], None] = lambda event: None,
     name: str = "S1",
     seed: int = 0,
-) -> Stage[Scenarios]:
-    return Stage(setup, name, seeded(seed), watch)
+) -> Setup[Scenarios]:
+    return replace(setup, name=name, generator=seeded(seed), watch=watch)
 
 
 def along(edge: str) -> Callable[[int, torch.Generator], Scenarios]:
@@ -127,7 +127,7 @@ def recruited(monkeypatch: pytest.MonkeyPatch, *members: Skill) -> list[Skill]:
     left = list(members)
 
     def with_member(
-        stage: Stage[Scenarios], state: StageState[Scenarios], missed: Tensor
+        setup: Setup[Scenarios], state: StageState[Scenarios], missed: Tensor
     ) -> StageState[Scenarios]:
         assert missed.any()
         if not left:
@@ -136,7 +136,7 @@ def recruited(monkeypatch: pytest.MonkeyPatch, *members: Skill) -> list[Skill]:
         found = (*state.members, left.pop(0))
         return replace(state, members=found, trust=torch.cat([state.trust, more], 1))
 
-    monkeypatch.setattr("cgtorch.improvement.proposing.with_member", with_member)
+    monkeypatch.setattr("cgtorch.improvement.team.with_member", with_member)
     return left
 
 

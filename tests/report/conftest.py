@@ -1,5 +1,7 @@
 """One small stage, told by the events of a real evolution in a real world."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from support import FOOTPRINT, search, seeded
@@ -22,9 +24,8 @@ from cgtorch.improvement.events import (
     StageStarted,
     WorldTested,
 )
-from cgtorch.improvement.setup import Stage
+from cgtorch.improvement.setup import Budget
 from cgtorch.improvement.specialists import evolve_candidate
-from cgtorch.improvement.stopping import Budget
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.data import Scenes, collect
@@ -79,7 +80,7 @@ def events(knowledge: Knowledge) -> list[Event]:
     for name, limit in (("S1.1", GENERATIONS), ("S1.2", 2)):
         budget = Budget(limit, patience=10**6, stall=10**6, enough=2.0)
         setup = search(actions, EvolutionSettings(population=60, capacity=12), budget)
-        stage = Stage(setup, "S1", generator, told.append)
+        stage = replace(setup, name="S1", generator=generator, watch=told.append)
         found = evolve_candidate(stage, name, world, keep=kept)
         champion = found.champion
         members.append(Skill(name, champion.graphs, actions))

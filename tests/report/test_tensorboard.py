@@ -19,6 +19,7 @@ from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.ground.errors import RunError
 from cgtorch.ground.statistics import Acceptance
+from cgtorch.improvement.checkpoint import Found
 from cgtorch.improvement.events import (
     AboutToKeep,
     Event,
@@ -29,7 +30,6 @@ from cgtorch.improvement.events import (
     SkillAccepted,
     WorldTested,
 )
-from cgtorch.improvement.stopping import Found
 from cgtorch.report import TensorBoardWatch
 from cgtorch.report import tensorboard as module
 from cgtorch.tabletop.actions import paper_actions

@@ -13,8 +13,8 @@ from trained import Trained
 
 from cgtorch.graphs import skill_to_dict
 from cgtorch.ground.errors import CgtorchError, RunError
-from cgtorch.improvement.acting import OTHER
 from cgtorch.improvement.events import SkillAccepted
+from cgtorch.improvement.improve import OTHER
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.ledger import WAS, enter, read_entry, read_index
 from cgtorch.runs.storage import load_progress

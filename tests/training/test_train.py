@@ -15,7 +15,7 @@ from torch import Tensor
 
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.improvement.events import Event, Practised, SkillAccepted, StageStarted
-from cgtorch.improvement.setup import Progress, Stage
+from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_progress, load_result
@@ -62,24 +62,24 @@ class Method:
 
     def __call__(
         self,
-        stage: Stage[Scenarios],
+        setup: Setup[Scenarios],
         progress: Progress[Scenarios],
         tests: Scenarios,
         draw: Callable[[int, Any], Scenarios],
     ) -> Progress[Scenarios]:
-        self.given.append((progress, tests, draw(3, stage.generator)))
-        stage.setup.purse.pay("trials", Asked(motions=7, tests=2, looks=5, episodes=5))
-        stage.watch(Practised(stage.name, SKILL, 4, 4))
+        self.given.append((progress, tests, draw(3, setup.generator)))
+        setup.purse.pay("trials", Asked(motions=7, tests=2, looks=5, episodes=5))
+        setup.watch(Practised(setup.name, SKILL, 4, 4))
         tried, old = tests[: len(self.succeeded)], progress.missed
         unsolved = torch.zeros(len(old), dtype=torch.bool)
         if self.last:
             every, succeeded = old.joined(tried), torch.cat([unsolved, self.succeeded])
         else:
             every, succeeded = tried.joined(old), torch.cat([self.succeeded, unsolved])
-        skill = replace(SKILL, name=stage.name)
+        skill = replace(SKILL, name=setup.name)
         everywhere = torch.ones(len(every), dtype=torch.bool)
         told = every, succeeded, ~everywhere, everywhere
-        stage.watch(SkillAccepted(stage.name, skill, *told, 1.5))
+        setup.watch(SkillAccepted(setup.name, skill, *told, 1.5))
         solved, missed = progress.solved.joined(every[succeeded]), every[~succeeded]
         seen = first_percepts(TABLE.world(solved.joined(missed)))
         about = {"solved": solved, "missed": missed, "seen": seen, "chance": self.chance}
@@ -217,9 +217,9 @@ def test_a_budget_that_is_spent_ends_a_run_with_what_it_has(
     """A method takes a budget that is spent for its end; S1 has accepted nothing by then."""
 
     def spends(
-        stage: Stage[Scenarios], progress: Progress[Scenarios], *given: Any
+        setup: Setup[Scenarios], progress: Progress[Scenarios], *given: Any
     ) -> Progress[Scenarios]:
-        stage.setup.purse.exhausted = True
+        setup.purse.exhausted = True
         return progress
 
     run, accepts = run_in(tmp_path / "run"), Method(*[True] * 5)

@@ -6,8 +6,7 @@ import torch
 
 from benchmarks.measure import CPU, Comparison, Effort, Line, difference, in_turns, run_threads
 from cgtorch.graphs import BranchingNN
-from cgtorch.improvement.gating import RESTARTS
-from cgtorch.improvement.gating_gradient import gradient_in_torch, gradient_of
+from cgtorch.improvement.gating import RESTARTS, gradient_in_torch, gradient_of
 
 CASES = {"S1": (760, 2), "S3": (1160, 4)}
 """Scenarios and members in the middle and at the end of a run."""

@@ -20,10 +20,10 @@ from benchmarks.measure import (
 )
 from benchmarks.workload import CAPACITY, Workload, later_population, workload
 from cgtorch.evolution import EvolutionSettings, EvolutionState
-from cgtorch.evolution.evaluated import Evaluated
 from cgtorch.evolution.evolution import next_state
 from cgtorch.evolution.fitness import evaluator
 from cgtorch.evolution.population import Population
+from cgtorch.evolution.selection import Evaluated
 from cgtorch.native.gpu import launcher_of
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
 from cgtorch.tabletop.world import ClearMotion
@@ -82,8 +82,9 @@ def _generation(
 
     def generation() -> EvolutionState:
         generator, found = torch.Generator().manual_seed(0), evaluation(population.graphs)
+        begun = replace(state, generator=generator)
         evaluated = Evaluated(population, found.fitness, found.scores)
-        next_one = next_state(state, evaluated, settings, work.actions, generator)
+        next_one = next_state(begun, evaluated, settings, work.actions)
         if device.type == "cuda":
             torch.cuda.synchronize()
         return next_one

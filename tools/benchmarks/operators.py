@@ -20,7 +20,7 @@ from benchmarks.networkx_operators import Individual, Kinds, individuals, kinds_
 from benchmarks.networkx_operators import offspring as networkx_offspring
 from benchmarks.workload import CAPACITY, later_population, populations, workload
 from cgtorch.evolution import Population
-from cgtorch.evolution.offspring import offspring
+from cgtorch.evolution.operators import offspring
 from cgtorch.graphs import ActionSet, Graphs, concatenate, from_networkx, valid
 
 PAIRS = 200  # that networkx is asked for

@@ -8,7 +8,7 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.knowledge import Knowledge, fit_models
 from cgtorch.evolution import EvolutionSettings, Population, evolve
-from cgtorch.evolution.offspring import crossover, mutate
+from cgtorch.evolution.operators import crossover, mutate
 from cgtorch.evolution.population import random_population, slim
 from cgtorch.graphs import ActionSet, widened
 from cgtorch.improvement.trial import first_percepts

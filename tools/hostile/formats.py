@@ -16,7 +16,7 @@ import trimesh
 from torch import Generator, nn
 
 from cgtorch.domains.knowledge import taken
-from cgtorch.evolution import EvolutionState, Island, Population
+from cgtorch.evolution import EvolutionState, Population
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import ActionSet, load_skill
 from cgtorch.ground.asked import Asked, Purse
@@ -25,13 +25,13 @@ from cgtorch.ground.errors import RunError
 from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_json
 from cgtorch.improvement.checkpoint import (
     Checkpoint,
+    Found,
     found_from,
     found_tensors,
-    island_from,
-    island_tensors,
     islands_from,
+    state_from,
+    state_tensors,
 )
-from cgtorch.improvement.stopping import Found
 from cgtorch.improvement.trial import Trial, trial_from, trial_tensors
 from cgtorch.runs.journal import MAX_BYTES, FileJournal, recalled_generations
 from cgtorch.runs.ledger import read_entry, read_index
@@ -186,7 +186,7 @@ def _write_checkpoint(folder: Path, actions: ActionSet) -> None:
     """An evolution of two islands that is not over."""
     shutil.rmtree(folder / "journal", ignore_errors=True)
     state = EvolutionState(_population(actions), 9, _population(actions), 0.0)
-    part = island_tensors(Island(state, Generator()))
+    part = state_tensors(state)
     checkpoint = Checkpoint(found_tensors(_found(actions)), (lambda: part, lambda: part))
     FileJournal(folder / "journal" / "S4", seconds=0).record_checkpoint("evolution x", checkpoint)
 
@@ -232,7 +232,7 @@ def _read_part(folder: Path, actions: ActionSet) -> object:
         tensors = tensors_of(data)
     except ValueError as e:  # is told, and counts as never done
         raise RunError("damaged") from e
-    return island_from(tensors, actions, Generator(), 9)
+    return state_from(tensors, actions, Generator(), 9)
 
 
 def _read_seen(folder: Path, actions: ActionSet) -> object:

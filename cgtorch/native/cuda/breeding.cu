@@ -1,30 +1,18 @@
 /* Children on a GPU: crossover and mutation of a pair by a thread, parameters of a child by a warp
    (cgtorch.evolution.gpu). */
 #include "real.h"
-#include "engine/crossover.h"
-#include "engine/mutation.h"
-#include "engine/parameters.h"
+#include "engine/operators.h"
 
 INLINE int64_t thread_of_grid(void) { return (int64_t)blockIdx.x * blockDim.x + threadIdx.x; }
 
 KERNEL elite(const __grid_constant__ Breeding b) {
   int64_t row = thread_of_grid();
-  if (row >= b.elites) return;
-  Graph graph;
-  read_graph(&graph, &b.given, b.elite[row]);
-  write_reached(&graph, &b.made, row);
+  if (row < b.elites) copy_elite(&b, row);
 }
 
 KERNEL pairs(const __grid_constant__ Breeding b) {
   int64_t pair = thread_of_grid();
-  if (pair >= b.pairs) return;
-  Graph child[2];
-  cross(&b, pair, &child[0], &child[1]);
-  for (int i = 0; i < 2; i++) {
-    int64_t row = i * b.pairs + pair;
-    if (b.has_edge) mutate(&b, &child[i], row);
-    write_reached(&child[i], &b.made, b.elites + row);
-  }
+  if (pair < b.pairs) make_pair(&b, pair);
 }
 
 KERNEL children(const __grid_constant__ Children c) {

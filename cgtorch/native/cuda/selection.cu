@@ -1,7 +1,6 @@
-/* Epsilon-lexicase selection on a GPU (engine/lexicase.c): a block sorts a group, a warp selects a parent. */
+/* Epsilon-lexicase selection on a GPU (engine/selection.c): a block sorts a group, a warp selects a parent. */
 #include "real.h"
-#include "engine/cases.h"
-#include "selection.h"
+#include "engine/selection.h"
 
 INLINE int64_t thread_of_grid(void) { return (int64_t)blockIdx.x * blockDim.x + threadIdx.x; }
 INLINE int64_t at_most(int64_t a, int64_t b) { return a < b ? a : b; }

@@ -17,20 +17,6 @@ typedef struct {
   int64_t nodes, outcomes; /* N and O */
 } Graphs;
 
-/* What children are made of, and room for what they are. */
-typedef struct {
-  Graphs given, made; /* of `made` N is what they may have, then as many as the largest may need */
-  const int64_t *elite;    /* (E,) of `given` */
-  const int64_t *parents;  /* (2 Q,) of `given`, the first ones and then the second ones */
-  const float *strategy;   /* (P, STRATEGY) of `given` */
-  float *parent_strategy;  /* (E + 2 Q, STRATEGY) of the elite and of parents */
-  const uint8_t *has_edge; /* (A, O), or NULL where nothing is mutated */
-  const int64_t *standard; /* (A,) whether parameters of new nodes are standard normal */
-  int64_t *first;          /* (A + 1,) for `number_new_nodes`, unless nothing is mutated */
-  int64_t individuals, elites, pairs, actions, pair_key, key;
-  int64_t width; /* nodes of the largest of the elite and of parents, set by `breed` */
-} Breeding;
-
 typedef struct {
   int count, start; /* nodes; those that are gone leave a hole */
   uint64_t used;    /* which of them are there */

@@ -1,106 +1,70 @@
-/* Crossover and mutation of nodes and edges of a whole population, one pair at a time. */
-#include "crossover.h"
+/* Crossover, mutation and parameters of a whole population. */
+#define _DEFAULT_SOURCE /* of madvise */
 #include "library.h"
-#include "mutation.h"
-#include <stdlib.h>
+#include "operators.h"
+#include <sys/mman.h>
 
 EXPORT_CONSTANTS(graph_limits, MOST_NODES, MOST_OUTCOMES)
 EXPORT_CONSTANTS(strategy, CROSSOVER, ADD_NODE, DELETE_NODE, NEW_START, REPLACE_NODE, CHANGE_EDGE,
                  MUTATE_PARAMETER, SIGMA)
-
 EXPORT_STRUCT(Graphs)
 EXPORT_STRUCT(Breeding)
+EXPORT_STRUCT(Children)
 
 static void some_pairs(void *what, int64_t begin, int64_t end) {
-  const Breeding *b = what;
-  Graph child[2];
-  for (int64_t pair = begin; pair < end; pair++) {
-    cross(b, pair, &child[0], &child[1]);
-    for (int i = 0; i < 2; i++) {
-      int64_t row = i * b->pairs + pair;
-      if (b->has_edge) mutate(b, &child[i], row);
-      write_reached(&child[i], &b->made, b->elites + row);
-    }
-  }
+  for (int64_t pair = begin; pair < end; pair++) make_pair(what, pair);
 }
 
-/* The number of nodes of the largest of some graphs. */
-static int64_t most_nodes(const Graphs *graphs, const int64_t *rows, int64_t count) {
-  int64_t most = 0;
-  for (int64_t i = 0; i < count; i++) {
-    const int64_t *action = graphs->action + rows[i] * graphs->nodes;
-    int64_t here = 0;
-    for (int64_t j = 0; j < graphs->nodes; j++) here += action[j] != NO_NODE;
-    if (here > most) most = here;
-  }
-  return most;
-}
-
-static void take_rows(const float *from, const int64_t *rows, int64_t count, float *to) {
-  for (int64_t i = 0; i < count; i++)
-    memcpy(to + i * STRATEGY, from + rows[i] * STRATEGY, STRATEGY * sizeof *to);
-}
-
-static int all_there(const int64_t *rows, int64_t count, int64_t individuals) {
-  int there = 1;
-  for (int64_t i = 0; i < count; i++) there &= rows[i] >= 0 && rows[i] < individuals;
-  return there;
-}
-
-/* Numbers new nodes whose parameters are not standard normal -1, -2, ..., by action, and writes CSR offsets
-   (A + 1,) to `first`; the last one is their number. Returns 0 without memory. */
-static int number_new_nodes(const int64_t *action, int64_t *origins, int64_t total, int64_t actions,
-                            const int64_t *standard, int64_t *first) {
-  int64_t count = 0, *where = malloc((size_t)(total + 1) * sizeof *where);
-  if (!where) return 0;
-  memset(first, 0, (size_t)(actions + 1) * sizeof *first);
-  for (int64_t i = 0; i < total; i++)
-    if (!origins[i] && action[i] >= 0 && action[i] < actions && !standard[action[i]]) {
-      where[count++] = i;
-      origins[i] = -++first[action[i] + 1];
-    }
-  for (int64_t a = 0; a < actions; a++) first[a + 1] += first[a];
-  for (int64_t i = 0; i < count; i++) origins[where[i]] -= first[action[where[i]]];
-  free(where);
-  return 1;
-}
-
-/* Copies the elite, then makes children of pairs. Mutated children may have one node more, and their new
-   nodes are numbered. Returns NO_PARENT if an index of the elite or of parents is not in the population. */
-int breed(Breeding *b, int64_t threads) {
-  int64_t children = 2 * b->pairs;
-  if (!all_there(b->elite, b->elites, b->individuals)) return NO_PARENT;
-  if (!all_there(b->parents, children, b->individuals)) return NO_PARENT;
-  int64_t other = most_nodes(&b->given, b->parents, children);
-  b->width = most_nodes(&b->given, b->elite, b->elites);
-  if (b->width < other) b->width = other;
-  if (b->has_edge && b->made.nodes > b->width + 1) b->made.nodes = b->width + 1;
-  take_rows(b->strategy, b->elite, b->elites, b->parent_strategy);
-  take_rows(b->strategy, b->parents, children, b->parent_strategy + b->elites * STRATEGY);
-  for (int64_t row = 0; row < b->elites; row++) {
-    Graph graph;
-    read_graph(&graph, &b->given, b->elite[row]);
-    write_reached(&graph, &b->made, row);
-  }
-  in_parallel(some_pairs, b, b->pairs, 32, threads);
-  if (!b->has_edge) return DONE;
-  int64_t slots = (b->elites + children) * b->made.nodes, *origins = b->made.origins;
-  return number_new_nodes(b->made.action, origins, slots, b->actions, b->standard, b->first) ? DONE : NO_MEMORY;
-}
-
-typedef struct {
-  int64_t *out, count;
-  uint64_t key;
-} Order;
-
-static void some_places(void *what, int64_t begin, int64_t end) {
-  const Order *o = what;
-  for (int64_t i = begin; i < end; i++) o->out[i] = shuffled(i, o->count, o->key);
-}
-
-/* A permutation (count,) that follows from a key. */
-int shuffled_order(int64_t count, int64_t key, int64_t *out, int64_t threads) {
-  Order order = {out, count, (uint64_t)key};
-  in_parallel(some_places, &order, count, 4096, threads);
+/* Copies the elite, then makes children of pairs. */
+int breed(const Breeding *b, int64_t threads) {
+  for (int64_t row = 0; row < b->elites; row++) copy_elite(b, row);
+  in_parallel(some_pairs, (void *)b, b->pairs, 32, threads);
   return DONE;
+}
+
+#define PIECE 16 /* words that are made at once */
+
+/* Perturbs the `count` parameters of a node, whose words begin at number `first`. */
+static inline void some_steps(const Children *c, uint64_t key, uint64_t limit, float sigma,
+                              int64_t first, int64_t count, real *parameters) {
+  uint64_t words[PIECE];
+  int which[PIECE];
+  for (int64_t begin = 0; begin < count; begin += PIECE) {
+    int here = (int)(count - begin < PIECE ? count - begin : PIECE), hits = 0;
+    for (int i = 0; i < PIECE; i++) words[i] = word(key, first + begin + i);
+    /* Without branches, which CPUs could not predict: each value is written, and kept if it is hit. */
+    for (int i = 0; i < here; i++) {
+      which[hits] = i;
+      hits += words[i] >> (64 - BITS) < limit;
+    }
+    for (int i = 0; i < hits; i++)
+      parameters[begin + which[i]] += normal(c->quantiles, words[which[i]]) * sigma;
+  }
+}
+
+static void some_children(void *what, int64_t begin, int64_t end) {
+  const Children *c = what;
+  int64_t n = c->nodes, k = c->most;
+  for (int64_t row = begin; row < end; row++) {
+    const float *strategy = c->strategy + row * STRATEGY;
+    uint64_t key = key_of(c->key, row), limit = row < c->same ? 0 : below(strategy[MUTATE_PARAMETER]);
+    for (int64_t i = row * n, first = 0; i < (row + 1) * n; i++) {
+      int64_t count = parameters_at(c, i);
+      real *parameters = c->parameters + i * k;
+      const real *from = origin_of(c, i);
+      if (from) memcpy(parameters, from, (size_t)count * sizeof(real));
+      else
+        for (int64_t j = 0; j < count; j++) parameters[j] = fresh_number(c, key, row, i, j);
+      memset(parameters + count, 0, (size_t)(k - count) * sizeof(real));
+      some_steps(c, key, limit, strategy[SIGMA], first, count, parameters);
+      first += count;
+    }
+    for (int j = 0; j < STRATEGY; j++) c->drifted[row * STRATEGY + j] = drifted(c, key, row, j);
+  }
+}
+
+int perturb_parameters(const Children *c, int64_t threads) {
+  large_pages(c->parameters, (size_t)(c->rows * c->nodes * c->most) * sizeof(real));
+  in_parallel(some_children, (void *)c, c->rows, 64, threads);
+  return 0;
 }

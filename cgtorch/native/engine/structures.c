@@ -3,15 +3,12 @@
 #include "kinds.h"
 #include "task.h"
 #include "cuda/launch.h"
-#include "cuda/selection.h"
 
 EXPORT_STRUCT(Action)
 EXPORT_STRUCT(Program)
 EXPORT_STRUCT(ModelEnvironment)
 EXPORT_STRUCT(Task)
 EXPORT_STRUCT(Launch)
-EXPORT_STRUCT(Groups)
-EXPORT_CONSTANTS(selection_limits, CANDIDATES)
 EXPORT_CONSTANTS(counts, NEXT_OF_W, NEXT, COUNTED, EXECUTED, NUM_NOT_FINITE, WRONG, COUNTS)
 EXPORT_CONSTANTS(action_kinds, STEP, PERCEIVE, TEST, CONTINUOUS, BRANCHING, DOMAIN_NN, DOMAIN_OTHER_NN,
                  DOMAIN_BRANCHING, RECURRENT, DELAY, IN_PYTHON)

@@ -1,7 +1,12 @@
-/* Epsilon-lexicase selection (cgtorch.evolution.selection), one parent at a time. */
-#include "cases.h"
+/* Selection of parents and ranking (cgtorch.evolution.selection): epsilon-lexicase selection, one parent at a
+   time, the deviations that it needs, and individuals from best to worst. */
+#include "graph.h"
 #include "library.h"
+#include "selection.h"
 #include <stdlib.h>
+
+EXPORT_STRUCT(Groups)
+EXPORT_CONSTANTS(selection_limits, CANDIDATES)
 
 typedef struct {
   int64_t scenarios, rows;     /* B, and how many different rows of scores there are */
@@ -183,4 +188,115 @@ int lexicase(const real *scores, int64_t individuals, int64_t scenarios, const r
   }
   free(row_of), free(cases), free(survives);
   return l.failed ? NO_MEMORY : DONE;
+}
+
+/* The k-th smallest of `count` numbers, found bit by bit: numbers below the present value are counted a
+   vector at a time, which sorting does not allow. */
+static real ranked(const real *numbers, whole *x, int64_t count, int64_t k) {
+  pattern any = 0, all = ~(pattern)0;
+  for (int64_t i = 0; i < count; i++) {
+    pattern b = ordered(numbers[i]);
+    any |= b, all &= b;
+    x[i] = (whole)(b ^ SIGN);
+  }
+  pattern found = all;
+  for (pattern bit = SIGN, differ = any & ~all; bit; bit >>= 1) {
+    if (!(differ & bit)) continue; /* the same in all */
+    whole below = (whole)(((found & ~(bit - 1)) | bit) ^ SIGN), less = 0;
+    for (int64_t i = 0; i < count; i++) less += x[i] < below;
+    if (less <= k) found |= bit;
+  }
+  return number_of(found);
+}
+
+typedef struct {
+  const real *scores;
+  int64_t individuals, scenarios;
+  real *out;
+  _Atomic int failed; /* for want of memory */
+} Deviation;
+
+static void some_scenarios(void *what, int64_t begin, int64_t end) {
+  Deviation *d = what;
+  int64_t n = d->individuals, half = (n - 1) / 2;
+  real *column = malloc((size_t)n * 2 * sizeof *column);
+  whole *x = (whole *)(column + n);
+  if (!column) {
+    d->failed = 1;
+    return;
+  }
+  for (int64_t j = begin; j < end; j++) {
+    for (int64_t i = 0; i < n; i++) column[i] = d->scores[i * d->scenarios + j];
+    real middle = ranked(column, x, n, half);
+    for (int64_t i = 0; i < n; i++)
+      column[i] = column[i] < middle ? middle - column[i] : column[i] - middle;
+    d->out[j] = ranked(column, x, n, half);
+  }
+  free(column);
+}
+
+/* Median absolute deviation of each scenario's scores, the lower one of two medians. */
+int deviation(const real *scores, int64_t individuals, int64_t scenarios, real *out, int64_t threads) {
+  Deviation d = {scores, individuals, scenarios, out, 0};
+  in_parallel(some_scenarios, &d, scenarios, 2, threads);
+  return d.failed ? NO_MEMORY : DONE;
+}
+
+#define DIGIT 11 /* bits that are sorted by at once */
+#define BUCKETS (1 << DIGIT)
+
+/* A key that is smaller for larger numbers, the same for both zeros, and smallest for NaN. */
+static uint64_t downwards(real x) { return x == x ? (pattern)~ordered(x + 0) : 0; }
+
+/* Sorts `order` by ascending key, stably, digit by digit where digits differ. Returns the array with the
+   result. */
+static int64_t *sorted(const uint64_t *key, int64_t count, int64_t *order, int64_t *other) {
+  uint64_t any = 0, all = ~(uint64_t)0;
+  for (int64_t i = 0; i < count; i++) any |= key[i], all &= key[i];
+  for (int shift = 0; shift < 64; shift += DIGIT) {
+    if (!((any & ~all) >> shift & (BUCKETS - 1))) continue;
+    int64_t first[BUCKETS + 1] = {0}, *swap = order;
+    for (int64_t i = 0; i < count; i++) first[(key[i] >> shift & (BUCKETS - 1)) + 1]++;
+    for (int b = 0; b < BUCKETS; b++) first[b + 1] += first[b];
+    for (int64_t i = 0; i < count; i++)
+      other[first[key[order[i]] >> shift & (BUCKETS - 1)]++] = order[i];
+    order = other;
+    other = swap;
+  }
+  return order;
+}
+
+/* Indices (count,) by fitness; of equal ones by the number of nodes in actions (count, nodes), then by index.
+   */
+int ranking(const real *fitness, const int64_t *action, int64_t nodes, int64_t count, int64_t *out) {
+  uint64_t *key = malloc((size_t)(3 * count + 1) * sizeof *key);
+  if (!key) return NO_MEMORY;
+  int64_t *order = (int64_t *)key + count, *other = order + count;
+  for (int64_t i = 0; i < count; i++) {
+    order[i] = i, key[i] = 0;
+    for (int64_t j = 0; j < nodes; j++) key[i] += action[i * nodes + j] != NO_NODE;
+  }
+  int64_t *found = sorted(key, count, order, other);
+  for (int64_t i = 0; i < count; i++) key[i] = downwards(fitness[i]);
+  found = sorted(key, count, found, found == order ? other : order);
+  memcpy(out, found, (size_t)count * sizeof *out);
+  free(key);
+  return 0;
+}
+
+typedef struct {
+  int64_t *out, count;
+  uint64_t key;
+} Order;
+
+static void some_places(void *what, int64_t begin, int64_t end) {
+  const Order *o = what;
+  for (int64_t i = begin; i < end; i++) o->out[i] = shuffled(i, o->count, o->key);
+}
+
+/* A permutation (count,) that follows from a key. */
+int shuffled_order(int64_t count, int64_t key, int64_t *out, int64_t threads) {
+  Order order = {out, count, (uint64_t)key};
+  in_parallel(some_places, &order, count, 4096, threads);
+  return DONE;
 }
