@@ -1,4 +1,4 @@
-"""Mesh files: what is in them is read, and whatever is wrong with them is one RobotError."""
+"""Mesh files: where packages have them, what is in them, and one RobotError about what is wrong."""
 
 import io
 import re
@@ -12,7 +12,7 @@ import trimesh
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import meshes
-from cgtorch.tabletop.kinematics.meshes import read_mesh
+from cgtorch.tabletop.kinematics.meshes import file_named, package_places, read_mesh
 
 BOX = trimesh.creation.box((0.3, 0.2, 0.1))
 
@@ -120,43 +120,139 @@ def test_files_and_meshes_that_are_too_large(tmp_path, monkeypatch):
     assert f"larger than {len(data) - 1} bytes" in refused(tmp_path / "a.stl", data)
 
 
-@pytest.mark.parametrize(
-    ("name", "data", "message"),
-    [
-        (
-            "a.obj",
-            "v 0 0 0\n" * 3 + "f" + " 1 2 3" * 5_000_000 + "\n",
-            "15000000 corners: give from",
-        ),
-        ("a.obj", "v 0 0 0\n" * 3 + "f" + " 1 2 3 \\\n" * 3_000_000, "corners: give from"),
-        ("a.obj", "v 0 0 0\n" * 3 + "f 1 2 3\n" * 4_000_000, "corners: give from 1 to 500000"),
-        ("a.dae", COLLADA.format("<a/>" * 7_000_000), "more than 400000 elements"),
-        (
-            "a.stl",
-            b"\0" * 80 + (600_000).to_bytes(4, "little") + b"\0" * 50 * 600_000,
-            "600000 tri",
-        ),
-    ],
-    ids=("one face", "lines that go on", "faces", "elements", "triangles"),
-)
-def test_memory_is_bounded(tmp_path, name, data, message):
-    """A file of up to 32 MiB is refused before it takes a gigabyte."""
-    (tmp_path / name).write_bytes(data if isinstance(data, bytes) else data.encode())
-    program = (
-        "import resource, sys; from pathlib import Path\n"
-        "from cgtorch.tabletop.kinematics.meshes import read_mesh\n"
-        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
-        "try: read_mesh(Path(sys.argv[1]))\n"
-        "except Exception as error: print(error)\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
-    )
-    words = [sys.executable, "-c", program, str(tmp_path / name)]
+LARGE = {
+    "one.obj": ("v 0 0 0\n" * 3 + "f" + " 1 2 3" * 5_000_000, "15000000 corners: give from"),
+    "lines.obj": ("v 0 0 0\n" * 3 + "f" + " 1 2 3 \\\n" * 3_000_000, "corners: give from"),
+    "faces.obj": ("v 0 0 0\n" * 3 + "f 1 2 3\n" * 4_000_000, "corners: give from 1 to 500000"),
+    "tags.dae": (COLLADA.format("<a/>" * 7_000_000), "more than 400000 elements"),
+    "a.stl": ("\0" * 80 + "\xc0\x27\x09\0" + "\0" * 50 * 600_000, "600000 tri"),
+}
+READ = """
+import resource, sys; from pathlib import Path
+from cgtorch.tabletop.kinematics.meshes import read_mesh
+def most(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+before = most()
+for name in sys.argv[1:]:
+    try: read_mesh(Path(name))
+    except Exception as error: print(error)
+print(most() - before)
+"""
+
+
+def test_memory_is_bounded(tmp_path):
+    """Files of up to 32 MiB are refused before they take a gigabyte."""
+    for name, (text, _) in LARGE.items():
+        (tmp_path / name).write_bytes(text.encode("latin-1"))
+    words = [sys.executable, "-c", READ, *(str(tmp_path / name) for name in LARGE)]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
-    said, more = done.stdout.splitlines()
-    assert message in said
+    *said, more = done.stdout.splitlines()
+    for line, (name, (_, message)) in zip(said, LARGE.items(), strict=True):
+        assert name in line
+        assert message in line
     assert int(more) < 2**20  # KiB
 
 
 def test_no_file(tmp_path):
     with pytest.raises(RobotError, match="not a file"):
         read_mesh(tmp_path / "none.stl")
+
+
+@pytest.fixture
+def world(tmp_path):
+    """A package in a repository in a workspace, a URDF elsewhere, and a secret beside all."""
+    package = tmp_path / "ws" / "repo" / "arm_description"
+    (package / "meshes").mkdir(parents=True)
+    (package / "meshes" / "a.stl").write_text("mesh")
+    (package / "package.xml").write_text("<package><name>arm_description</name></package>")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "secret.stl").write_text("secret")
+    return tmp_path
+
+
+NAME = "package://arm_description/meshes/a.stl"
+
+
+def found(world, name=NAME, places=(), urdf="elsewhere/r.urdf"):
+    return file_named(name, world / urdf, [world / place for place in places])
+
+
+@pytest.mark.parametrize("place", ["ws", "ws/repo", "ws/repo/arm_description"])
+def test_a_place_is_around_a_package_or_it_is_one(world, place):
+    mesh = world / "ws/repo/arm_description/meshes/a.stl"
+    assert found(world, places=[place]) == mesh
+    assert found(world, "package:///arm_description/meshes/./a.stl", [place]) == mesh
+
+
+def test_the_package_in_which_the_urdf_lies(world):
+    urdf = "ws/repo/arm_description/urdf/r.urdf"
+    assert found(world, urdf=urdf).read_text() == "mesh"
+    (world / "ws/repo/arm_description").rename(world / "ws/repo/checkout")
+    assert found(world, urdf="ws/repo/checkout/urdf/r.urdf").read_text() == "mesh"
+    assert (
+        found(world, "../meshes/a.stl", urdf="ws/repo/checkout/urdf/r.urdf").read_text() == "mesh"
+    )
+
+
+def test_the_environment(world):
+    environment = {
+        "ROS_PACKAGE_PATH": f"{world}/none:{world}/ws",
+        "AMENT_PREFIX_PATH": f"{world}/install::",
+    }
+    places = package_places(["mine"], environment)
+    ends = ["mine", "none", "ws", "install/share"]
+    assert [str(place).removeprefix(f"{world}/") for place in places] == ends
+    assert file_named(NAME, world / "r.urdf", places).read_text() == "mesh"
+    (world / "ws").rename(world / "moved")
+    (world / "install" / "share").mkdir(parents=True)
+    (world / "moved/repo/arm_description").rename(world / "install/share/arm_description")
+    assert file_named(NAME, world / "r.urdf", places).read_text() == "mesh"
+
+
+def test_files_by_their_path(world):
+    mesh = world / "ws/repo/arm_description/meshes/a.stl"
+    for name in (str(mesh), f"file://{mesh}"):
+        assert found(world, name, ["ws"]) == mesh
+        with pytest.raises(RobotError, match="leads out of"):
+            found(world, name)
+    assert found(world, "a.stl", urdf="ws/repo/arm_description/meshes/r.urdf") == mesh
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "package://arm_description/../../../secret.stl",
+        "package://arm_description/meshes/../../../../secret.stl",
+        "package://arm_description//etc/../../../../secret.stl",
+        "package://../secret.stl",
+        "package://./secret.stl",
+        "package://arm*/meshes/a.stl",
+        "package://",
+        "../secret.stl",
+        "{world}/secret.stl",
+        "file://{world}/secret.stl",
+        "file:///etc/passwd",
+        "/etc/passwd",
+        "http://example.org/a.stl",
+        "model://arm_description/meshes/a.stl",
+        "\0",
+        "",
+        "x" * 5000,
+    ],
+)
+def test_a_name_that_leads_elsewhere_is_refused(world, name):
+    with pytest.raises(RobotError) as caught:
+        found(world, name.format(world=world), ["ws"])
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 1000
+
+
+def test_what_is_missing_is_named_with_the_places(world):
+    with pytest.raises(RobotError) as caught:
+        found(world, "package://arm_description/meshes/b.stl", ["ws"])
+    assert "arm_description/meshes/b.stl', which is missing: it is not in" in str(caught.value)
+    assert f"{world}/ws/repo/arm_description" in str(caught.value)
+    with pytest.raises(RobotError) as caught:
+        found(world, "package://leg/b.stl", ["ws"])
+    assert "the package 'leg' is in none of" in str(caught.value)
+    assert f"{world}/ws'" in str(caught.value)
+    assert "--package-path" in str(caught.value)

@@ -6,7 +6,8 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from shapely import Point, Polygon, affinity, box
+from planar import polygon
+from shapely import Point, box
 from support import seeded
 
 from cgtorch.ground.errors import SettingsError
@@ -20,12 +21,6 @@ from cgtorch.tabletop.world import (
 from cgtorch.tabletop.world.scenarios import Draw, beside
 
 COUNT = 2000
-
-
-def shape(rectangle: list[float]) -> Polygon:
-    x, y, yaw, sx, sy = rectangle[:5]
-    flat = affinity.rotate(box(-sx / 2, -sy / 2, sx / 2, sy / 2), yaw, use_radians=True)
-    return affinity.translate(flat, x, y)
 
 
 def is_uniform(values: torch.Tensor, low: float, high: float) -> bool:
@@ -67,7 +62,7 @@ def test_tables_are_of_any_size_height_and_yaw() -> None:
 def test_robots_start_on_any_side_and_see_the_table() -> None:
     s = general_scenarios(COUNT, seeded(1))
     away = [
-        shape(table).distance(Point(x, y))
+        polygon(table).distance(Point(x, y))
         for table, (x, y, _) in zip(s.table.tolist(), s.pose.tolist(), strict=True)
     ]
     assert is_uniform(torch.tensor(away), 1.0, 2.5)
@@ -78,9 +73,10 @@ def test_robots_start_on_any_side_and_see_the_table() -> None:
 
 def test_objects_stand_within_a_quarter_metre_of_an_edge() -> None:
     s = general_scenarios(COUNT, seeded(2))
+    tables, objects = map(polygon, s.table.tolist()), map(Point, s.object.tolist())
     inset = [
-        shape(table).exterior.distance(Point(at)) * (1 if shape(table).contains(Point(at)) else -1)
-        for table, at in zip(s.table.tolist(), s.object.tolist(), strict=True)
+        table.exterior.distance(at) * (1 if table.contains(at) else -1)
+        for table, at in zip(tables, objects, strict=True)
     ]
     assert 0.05 - 1e-5 < min(inset) < 0.052
     assert 0.24 < max(inset) < 0.25 + 1e-5
@@ -104,7 +100,7 @@ def test_half_of_the_cluttered_scenes_have_a_box_that_is_in_nobodys_place() -> N
     assert sides.max() <= 0.6
     gaps = []
     for i in there.nonzero()[:, 0].tolist():
-        table, obstacle = shape(s.table[i].tolist()), shape(s.obstacles[i, 0].tolist())
+        table, obstacle = polygon(s.table[i].tolist()), polygon(s.obstacles[i, 0].tolist())
         assert table.intersection(obstacle).area < 1e-6
         assert obstacle.distance(Point(s.pose[i, :2].tolist())) > 0.55 - 1e-5
         gaps.append(table.distance(obstacle))

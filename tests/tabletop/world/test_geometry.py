@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from planar import polygon
 from shapely import Polygon, affinity, box
 from torch import Tensor
 
@@ -29,12 +30,6 @@ rectangles = st.tuples(metres, metres, angles, st.floats(0.1, 1.5), st.floats(0.
 
 def tensor(*rows: tuple[float, ...]) -> Tensor:
     return torch.tensor(rows, dtype=torch.float64)
-
-
-def polygon(rectangle: tuple[float, ...]) -> Polygon:
-    x, y, yaw, sx, sy = rectangle
-    flat = box(-sx / 2, -sy / 2, sx / 2, sy / 2)
-    return affinity.translate(affinity.rotate(flat, yaw, origin=(0, 0), use_radians=True), x, y)
 
 
 def seen_from(pose: tuple[float, ...], shape: Polygon) -> Polygon:

@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from planar import plain_box, plain_percept, plain_point
 
 from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.world.percepts import (
@@ -21,18 +22,16 @@ angles = st.floats(-7, 7)
 boxes = st.tuples(metres, metres, angles, st.floats(0.1, 1), st.floats(0.1, 1))
 
 
-def plain_box(pose: tuple[float, ...], rectangle: tuple[float, ...]) -> list[float]:
-    """The least and largest x and y of its corners, seen from the robot."""
-    x, y, yaw, sx, sy = rectangle
-    seen = []
-    for a in (-sx / 2, sx / 2):
-        for b in (-sy / 2, sy / 2):
-            dx = x + math.cos(yaw) * a - math.sin(yaw) * b - pose[0]
-            dy = y + math.sin(yaw) * a + math.cos(yaw) * b - pose[1]
-            c, s = math.cos(pose[2]), math.sin(pose[2])
-            seen.append((c * dx + s * dy, c * dy - s * dx))
-    xs, ys = zip(*seen, strict=True)
-    return [min(xs), max(xs), min(ys), max(ys)]
+@given(
+    st.tuples(metres, metres, angles),
+    st.tuples(metres, metres, angles, st.floats(0.1, 2), st.floats(0.1, 2), st.floats(0.3, 1.2)),
+    st.tuples(metres, metres),
+)
+def test_percepts_are_what_a_plain_look_gives(
+    pose: tuple[float, ...], table: tuple[float, ...], placed: tuple[float, float]
+) -> None:
+    found = percept_of(*(torch.tensor([x], dtype=torch.float64) for x in (pose, table, placed)))
+    assert found[0].tolist() == pytest.approx(plain_percept(pose, table, placed), abs=1e-9)
 
 
 @given(st.tuples(metres, metres, angles), st.lists(st.one_of(st.none(), boxes), max_size=3))
@@ -71,9 +70,7 @@ def test_the_side_and_the_box_give_the_table_back(
     top = torch.tensor([*table, 0.7], dtype=torch.float64)
     seen = parts_of(torch.cat([percept_of(at, top, at[:2]), side_seen(at, top)]))
     found = seen.table
-    dx, dy = table[0] - pose[0], table[1] - pose[1]
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    assert found[:2].tolist() == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=1e-9)
+    assert found[:2].tolist() == pytest.approx(plain_point(pose, table), abs=1e-9)
     half_turns = (float(found[2]) - (table[2] - pose[2])) / math.pi
     assert half_turns == pytest.approx(round(half_turns), abs=1e-6)
     assert found[3:].tolist() == pytest.approx(table[3:], abs=1e-9)

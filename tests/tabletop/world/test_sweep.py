@@ -7,6 +7,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planar import polygon
 from shapely import Polygon, affinity, box, distance, union_all
 from support import FOOTPRINT
 from torch import Tensor
@@ -23,12 +24,6 @@ BETWEEN = BODY.abs().max().item() * 2**0.5 * (1 - math.cos(TURN_STEP / 2))
 
 def tensor(*rows: tuple[float, ...]) -> Tensor:
     return torch.tensor(rows, dtype=torch.float64)
-
-
-def polygon(rectangle: tuple[float, ...]) -> Polygon:
-    x, y, yaw, sx, sy = rectangle
-    flat = box(-sx / 2, -sy / 2, sx / 2, sy / 2)
-    return affinity.translate(affinity.rotate(flat, yaw, origin=(0, 0), use_radians=True), x, y)
 
 
 def swept(motion: tuple[float, ...], grown: float) -> Polygon:
@@ -49,7 +44,7 @@ def swept(motion: tuple[float, ...], grown: float) -> Polygon:
     st.tuples(metres, metres, angles, st.floats(0.4, 1.3), st.floats(0.4, 1.3)),
     st.sampled_from([0.0, 0.02]),
 )
-@settings(max_examples=500)
+@settings(max_examples=300)
 def test_a_sweep_is_blocked_where_it_touches(
     motion: tuple[float, ...], rectangle: tuple[float, ...], clearance: float
 ) -> None:

@@ -3,8 +3,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from planar import driven, plain_percept
 from support import FOOTPRINT, graspable, seeded, world
 from torch import Tensor
 
@@ -30,44 +29,6 @@ def lanes_of(environment: TabletopWorld) -> Lanes:
     return start_lanes(environment, torch.arange(environment.num_scenarios), 3, 0)
 
 
-def plain_percept(
-    pose: tuple[float, ...], table: tuple[float, ...], placed: tuple[float, float]
-) -> list[float]:
-    """Every corner of the table and the object, each seen from the robot."""
-
-    def seen(x: float, y: float) -> tuple[float, float]:
-        px, py, theta = pose
-        dx, dy = x - px, y - py
-        c, s = math.cos(theta), math.sin(theta)
-        return c * dx + s * dy, -s * dx + c * dy
-
-    tx, ty, yaw, sx, sy, height = table
-    c, s = math.cos(yaw), math.sin(yaw)
-    corners = [
-        seen(tx + c * a - s * b, ty + s * a + c * b)
-        for a in (-sx / 2, sx / 2)
-        for b in (-sy / 2, sy / 2)
-    ]
-    xs, ys = zip(*corners, strict=True)
-    return [min(xs), max(xs), min(ys), max(ys), *seen(*placed), height]
-
-
-metres = st.floats(-3, 3)
-angles = st.floats(-7, 7)
-
-
-@given(
-    st.tuples(metres, metres, angles),
-    st.tuples(metres, metres, angles, st.floats(0.1, 2), st.floats(0.1, 2), st.floats(0.3, 1.2)),
-    st.tuples(metres, metres),
-)
-def test_percepts_are_what_a_plain_look_gives(
-    pose: tuple[float, ...], table: tuple[float, ...], placed: tuple[float, float]
-) -> None:
-    found = percept_of(*(torch.tensor([x], dtype=torch.float64) for x in (pose, table, placed)))
-    assert found[0].tolist() == pytest.approx(plain_percept(pose, table, placed), abs=1e-9)
-
-
 def test_it_is_an_environment() -> None:
     environment: Environment = world(0, 3)
     assert isinstance(environment, Environment)
@@ -82,12 +43,10 @@ def test_motions_without_noise_are_exact() -> None:
     after, done = environment.step(lanes, back)
     assert done.all()
     for i in range(50):
-        x, y, theta = lanes.state[i, :3].tolist()
-        c, s = math.cos(theta), math.sin(theta)
-        pose = (x - 0.3 * c - 0.2 * s, y - 0.3 * s + 0.2 * c, theta + 0.4)
+        pose = driven(lanes.state[i, :3].tolist(), (-0.3, 0.2, 0.4))
         assert after.state[i, :3].tolist() == pytest.approx(pose, abs=1e-5)
         table, placed = lanes.state[i, 3:9].tolist(), lanes.state[i, 9:11].tolist()
-        wanted = plain_percept(pose, tuple(table), (placed[0], placed[1]))
+        wanted = plain_percept(pose, table, placed)
         assert after.percept[i].tolist() == pytest.approx(wanted, abs=1e-5)
     assert torch.equal(after.state[:, 3:11], lanes.state[:, 3:11])
 
