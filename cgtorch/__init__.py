@@ -11,8 +11,11 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain as Domain
-    from cgtorch.domains.robot_driver import ProtectiveStop as ProtectiveStop
-    from cgtorch.domains.robot_driver import RobotDriver as RobotDriver
+    from cgtorch.domains.files import Files as Files
+    from cgtorch.domains.models import Models as Models
+    from cgtorch.domains.pictures import Pictures as Pictures
+    from cgtorch.domains.robot import ProtectiveStop as ProtectiveStop
+    from cgtorch.domains.robot import RobotDriver as RobotDriver
     from cgtorch.domains.settings import DomainSettings as DomainSettings
     from cgtorch.domains.settings import option as option
     from cgtorch.domains.world import World as World
@@ -56,6 +59,9 @@ _FOLDERS = {
         "Domain",
         "DomainSettings",
         "Field",
+        "Files",
+        "Models",
+        "Pictures",
         "ProtectiveStop",
         "RobotDriver",
         "ScenarioBatch",

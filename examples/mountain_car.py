@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-from cgtorch import Domain, Field, ScenarioBatch, World
+from cgtorch import Domain, Field, Models, ScenarioBatch, World
 from cgtorch.domains.exploration import Exploration, random_controls
 from cgtorch.ground.environment import Dataset, start_lanes
 
@@ -68,6 +68,24 @@ class Valley(World):
         return (state[:, 0] >= FLAG) & (100 - state[:, 3] >= SOLVED)
 
 
+class CarModels(Models["MountainCar"]):
+    """Models of the car, which want many pushes."""
+
+    def explore(self, about: Exploration) -> Dataset:
+        """See `Models.explore`; half of the pushes are the way the car rolls."""
+        cars, chance, rows = about.most // PUSHES, about.generator, list[tuple[Tensor, ...]]()
+        world = about.worlds(about.kind, cars)
+        lanes = start_lanes(world, torch.arange(cars), 0, 0)
+        for _ in range(PUSHES):
+            force = random_controls(self.domain.control, cars, chance)
+            onwards = lanes.percept[:, 1:2].sign() * force.abs()
+            force = torch.where(torch.rand(cars, 1, generator=chance) < 0.5, onwards, force)
+            seen, (lanes, _) = lanes.percept, world.step(lanes, force)
+            _, reached = world.success(lanes)
+            rows.append((seen, force, lanes.percept, lanes.percept, reached > 0.5))
+        return Dataset(*(torch.cat(part) for part in zip(*rows, strict=True)))
+
+
 class MountainCar(Domain[Starts]):
     """The valley, in two stages: Gymnasium's own starts, then starts anywhere."""
 
@@ -75,6 +93,7 @@ class MountainCar(Domain[Starts]):
     control = (Field("force", low=-1, high=1),)
     kinds = ("anywhere", "valley")
     stages: Mapping[str, str] = {"S0": "valley", "S1": "anywhere"}
+    models = CarModels
 
     def draw(self, kind: str, count: int, generator: Generator) -> Starts:
         """See `Domain.draw`."""
@@ -84,17 +103,3 @@ class MountainCar(Domain[Starts]):
     def world(self, scenarios: Starts) -> Valley:
         """See `Domain.world`."""
         return Valley(scenarios)
-
-    def explore(self, about: Exploration) -> Dataset:
-        """See `Domain.explore`; half of the pushes are the way the car rolls."""
-        cars, chance, rows = about.most // PUSHES, about.generator, list[tuple[Tensor, ...]]()
-        world = about.worlds(about.kind, cars)
-        lanes = start_lanes(world, torch.arange(cars), 0, 0)
-        for _ in range(PUSHES):
-            force = random_controls(self.control, cars, chance)
-            onwards = lanes.percept[:, 1:2].sign() * force.abs()
-            force = torch.where(torch.rand(cars, 1, generator=chance) < 0.5, onwards, force)
-            seen, (lanes, _) = lanes.percept, world.step(lanes, force)
-            _, reached = world.success(lanes)
-            rows.append((seen, force, lanes.percept, lanes.percept, reached > 0.5))
-        return Dataset(*(torch.cat(part) for part in zip(*rows, strict=True)))

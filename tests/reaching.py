@@ -8,7 +8,7 @@ import torch
 from support import FOOTPRINT, seeded
 from torch import Tensor
 
-from cgtorch.domains.knowledge import Knowledge, fit_models, learn
+from cgtorch.domains.knowledge import Knowledge, learn
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.ground.environment import Dataset
 from cgtorch.improvement.setup import Budget, Setup
@@ -44,11 +44,12 @@ class Reaching(Tabletop):
 
 
 TABLE = Reaching(robot=BASE, networks="percept")
+TABLE_MODELS = TABLE.models(TABLE)
 
 
 def fitted_to(data: Dataset) -> Knowledge:
     """The tabletop's models of these data."""
-    return fit_models(TABLE, data, 0)
+    return TABLE_MODELS.fit(data, 0)
 
 
 @cache
@@ -76,7 +77,7 @@ def small_setup() -> Setup[Scenarios]:
 
 def imagined(knowledge: Knowledge, scenarios: Scenarios, percepts: Tensor, *given: Any) -> Any:
     """`Imagine` of the table."""
-    return TABLE.imagine(knowledge, percepts, *given)
+    return TABLE_MODELS.imagine(knowledge, percepts, *given)
 
 
 def in_the_world(knowledge: None, scenarios: Scenarios, percepts: Tensor, *given: Any) -> Any:

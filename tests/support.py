@@ -9,6 +9,8 @@ import networkx as nx
 import torch
 from torch import Generator, Tensor
 
+from cgtorch.domains.domain import Domain
+from cgtorch.domains.models import Models
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import (
@@ -35,6 +37,11 @@ from cgtorch.tabletop.kinematics import ArmModel
 from cgtorch.tabletop.world import LAB_NOISE, Noise, TabletopWorld, random_scenarios
 
 FOOTPRINT = (-0.33, 0.33, -0.33, 0.33)
+
+
+def models_of(domain: Domain[Any]) -> Models[Any]:
+    """The models of a domain, the default ones where it has none."""
+    return (domain.models or Models)(domain)
 
 
 class Counter(Action):

@@ -11,7 +11,7 @@ from support import seeded
 from cgtorch.domains import Domain
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.exploration import Exploration
-from cgtorch.domains.knowledge import Knowledge, fit_models
+from cgtorch.domains.knowledge import Knowledge
 from cgtorch.evolution import episode_return, evolve
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.ground.asked import Purse
@@ -40,10 +40,10 @@ def explored(domain: Domain[Any], most: int) -> Dataset:
         return domain.world(domain.draw(kind, count, generator))
 
     def fit(data: Dataset) -> Knowledge:
-        return fit_models(domain, data, 0)
+        return domain.models(domain).fit(data, 0)
 
-    about = domain.usual_kind, worlds, fit, most, 2, generator, Purse()
-    return domain.explore(Exploration(*about))
+    about = domain.kinds[0], worlds, fit, most, 2, generator, Purse()
+    return domain.models(domain).explore(Exploration(*about))
 
 
 def share(runs: Rollouts) -> float:
@@ -60,12 +60,12 @@ def test_the_page_holds_its_promises(page: dict[str, Any]) -> None:
 @pytest.mark.parametrize("name", ["Cart", "Windy", "Balanced", "Guided", "Far", "GustyCart"])
 def test_its_domains_keep_the_interface(page: dict[str, Any], name: str) -> None:
     domain = page[name]()
-    check_domain(domain, domain.usual_kind)
+    check_domain(domain, domain.kinds[0])
 
 
 def test_experience_begins_nearer_to_success(page: dict[str, Any]) -> None:
     far = page["Far"]()
-    assert far.usual_kind == "far"
+    assert far.kinds[0] == "far"
     assert far.draw("far", 50, seeded(0)).place.abs().min() >= 2
     data, same = explored(far, 40), explored(page["Cart"](), 40)
     assert torch.equal(data.tested, same.tested)

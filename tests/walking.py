@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import networkx as nx
 import torch
 from support import seeded
 from torch import Generator, Tensor
 
+from cgtorch import Pictures
 from cgtorch.domains import Domain, Field, ScenarioBatch, World
 from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, Graphs, Step, Test, from_networkx
 from cgtorch.graphs.view import View
@@ -100,7 +102,7 @@ class Walking(Domain[Walks]):
 
     percept = (Field("place", "m"), Field("age"))
     control = (Field("step", "m", -1, 1),)
-    models = "none"
+    models = None
     target_return = -1.0
 
     def draw(self, kind: str, count: int, generator: Generator) -> Walks:
@@ -110,14 +112,19 @@ class Walking(Domain[Walks]):
         return RewardedPath(scenarios)
 
 
+class ShortPictures(Pictures[Any]):
+    """A drawing of a stage."""
+
+    def stage(self, name: str) -> str:
+        return '<svg class="stage-drawing" role="img" aria-label="short"><path d="M0 0"/></svg>'
+
+
 class StagedWalking(Walking):
     """The same in a stage of its own, which has a drawing and no tests."""
 
     kinds = ("any", "short")
     stages: Mapping[str, str] = {"first": "short"}
+    pictures = ShortPictures
 
     def draw(self, kind: str, count: int, generator: Generator) -> Walks:
         return walks(count, generator, longest=2 if kind == "short" else 5)
-
-    def draw_stage(self, stage: str) -> str:
-        return '<svg class="stage-drawing" role="img" aria-label="short"><path d="M0 0"/></svg>'

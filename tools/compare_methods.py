@@ -36,8 +36,7 @@ from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import ENOUGH, act, train_until
 from cgtorch.training.context import Training, initial_progress
 from cgtorch.training.evaluate import evaluate_skill
-from cgtorch.training.stages import stage_generator
-from cgtorch.training.train import NotImprovedError, train
+from cgtorch.training.train import NotImprovedError, stage_generator, train
 
 FRESH_SEED = 9_000_001  # of the placements that skills are measured on
 

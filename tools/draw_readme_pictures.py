@@ -19,7 +19,7 @@ def main() -> None:
     draw_skill(skill).savefig(images / "skill.png", dpi=80)
     score = evaluate_skill(skill, run.domain, "perimeter", 200, 5)
     nothing = torch.zeros_like(score.succeeded)
-    picture = run.domain.draw_scenarios(score.scenarios, score.succeeded, nothing)
+    picture = run.pictures.scenarios(score.scenarios, score.succeeded, nothing)
     assert picture is not None  # noqa: S101  of a tabletop there is one
     picture.savefig(images / "table.png", dpi=80)
 

@@ -29,8 +29,7 @@ import click
 from options.seeds import seeds_option
 
 from cgtorch.commands.train import command as train
-from cgtorch.domains.gymnasium_vector import VectorSteps
-from cgtorch.domains.gymnasium_world import Episode
+from cgtorch.domains.gymnasium_world import Episode, VectorSteps
 from cgtorch.ground.files import read_json, write_json
 
 TASKS: dict[str, list[str]] = {

@@ -81,10 +81,10 @@ def evaluate_as_rank(population: int, repeats: int) -> None:
     """Evaluate the population with the other ranks; the first one prints the measurements."""
     torch.set_num_threads(1)
     generator, run = torch.Generator().manual_seed(0), read_run(REFERENCE)
-    domain = run.domain
+    domain, models = run.domain, run.models
     percepts = first_percepts(domain.world(domain.draw("perimeter", SCENARIOS, generator)))
-    knowledge = load_knowledge(REFERENCE / "S3", domain.unfitted())
-    environment = domain.imagine(knowledge, percepts, 1, generator)
+    knowledge = load_knowledge(REFERENCE / "S3", models.unfitted())
+    environment = models.imagine(knowledge, percepts, 1, generator)
     settings = EvolutionSettings(population)
     sizes = settings.capacity, settings.initial_nodes
     graphs = random_population(population, run.actions, *sizes, generator).graphs

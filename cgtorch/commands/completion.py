@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 DOMAIN = "cgtorch.domain"
 """The key of the domain's name in the context of a command line."""
 SHELLS = ("bash", "zsh", "fish")
-TRAINED = ("perimeter", "general", "general-clutter")
-SCENARIOS = ("near", "left", "right", "far", *TRAINED)
+SCENARIOS = ("perimeter", "near", "left", "right", "far", "general", "general-clutter")
 STAGES = ("S0", "S1", "S2", "S3", "auto")
 
 Completer: TypeAlias = Callable[[Context, Parameter, str], list[CompletionItem]]
@@ -64,7 +63,7 @@ def domains(context: Context) -> Iterable[str]:
 @completing
 def kinds_of_domain(context: Context) -> Iterable[str]:
     """The kinds of scenarios on which a run of the command line's domain can train."""
-    return _of_domain(context, TRAINED, lambda domain: domain.trained_kinds or domain.kinds)
+    return _of_domain(context, SCENARIOS, lambda domain: domain.kinds)
 
 
 @completing

@@ -62,6 +62,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
         import torch
 
         from cgtorch import native
+        from cgtorch.domains.domain import in_world, other_measures
         from cgtorch.ground.distributed import cores
         from cgtorch.runs.skills import chosen_skill
         from cgtorch.training.evaluate import evaluate_skill
@@ -71,7 +72,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     chosen = chosen_skill(path, rest["name"], rest["actions"], rest["scenarios"], rest["domain"])
     skill, domain, kind = chosen.skill, chosen.domain, chosen.kind
     if rest["world"] is not None:
-        domain = domain.in_world(rest["world"])
+        domain = in_world(domain, rest["world"])
 
     def tried(domain: "Domain[Any]", message: str) -> "Score":
         with common.waiting(message, quiet, count) as done:
@@ -80,13 +81,13 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     score = tried(domain, f"trying {skill.name} on {kind} scenarios")
     others = {
         name: tried(other, f"trying {skill.name} again: {name}")
-        for name, other in domain.other_measures().items()
+        for name, other in other_measures(domain).items()
     }
     if rest["picture"]:
         _draw(rest["picture"], score, chosen)
     own, predicted, noise = _share(score.successes, score.tried), None, None
     if chosen.run is not None and chosen.stage is not None:
-        predicted, noise = _of_run(chosen, domain, score, seed, quiet)
+        predicted, noise = _of_run(chosen, score, seed, quiet)
     measures = {name: _share(other.successes, other.tried) for name, other in others.items()}
     if as_json:
         result = {
@@ -116,7 +117,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
 
 
 def _of_run(
-    chosen: "Chosen", domain: "Domain[Any]", score: "Score", seed: int, quiet: bool
+    chosen: "Chosen", score: "Score", seed: int, quiet: bool
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """The shares of predicted successes, and of W under other noise; None without models, W."""
     from cgtorch.runs.ledger import read_index
@@ -126,9 +127,9 @@ def _of_run(
     run, stage, skill, kept = chosen.run, chosen.stage, chosen.skill, None
     assert run is not None and stage is not None  # noqa: S101, PT018
     if any((stage / name).exists() for name in (GAMMA, CLASSIFIER)):  # or it was passed on without
-        knowledge = load_knowledge(stage, domain.unfitted())
+        knowledge = load_knowledge(stage, run.models.unfitted())
         with common.waiting(f"predicting robust successes of {skill.name}", quiet):
-            kept = robust_successes(score, skill, knowledge, domain, seed)
+            kept = robust_successes(score, skill, knowledge, run.models, seed)
     index = {line["name"]: line for line in read_index(run.folder)}
     met = index.get(skill.name, {}).get("w_other_noise")
     predicted = None if kept is None else _share(kept.successes, kept.tried)
@@ -171,7 +172,8 @@ def _draw(path: Path, score: "Score", chosen: "Chosen") -> None:
 
     scenarios, succeeded = score.scenarios[:PICTURED], score.succeeded[:PICTURED]
     nothing = succeeded.new_zeros(len(succeeded))
-    figure = chosen.domain.draw_scenarios(scenarios, succeeded, nothing, chosen.skill.name)
+    pictures = chosen.domain.pictures(chosen.domain)
+    figure = pictures.scenarios(scenarios, succeeded, nothing, chosen.skill.name)
     if figure is None:
         raise SettingsError(
             f"{type(chosen.domain).__name__} cannot draw its scenarios; leave --picture out"

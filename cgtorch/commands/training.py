@@ -55,7 +55,7 @@ def _train(work: Work, quiet: bool) -> None:
                 display.say(line, style="bold" if line.startswith("New") else "")
         outcome = carry_out(work, display)
         display.say(f"run {run.folder} {_end(outcome)}")
-        display.say(asked_of("robot" if run.domain.live else "world", outcome.purse))
+        display.say(asked_of("robot" if run.settings.driver else "world", outcome.purse))
     if ranks.first():
         Console().print(final_table(outcome.results, run.domain))
     with ProgressDisplay(quiet=quiet) as display:
@@ -66,7 +66,7 @@ def _train(work: Work, quiet: bool) -> None:
 def _aim(work: Work) -> float:
     """The share of scenarios, or the mean return, to reach in rounds."""
     domain = work.run.domain
-    return domain.target_return if domain.rewarded else work.goal.target
+    return domain.target_return if rewarded(domain) else work.goal.target
 
 
 def _before(work: Work) -> Iterator[str]:

@@ -14,7 +14,7 @@ from cgtorch.ground.errors import SettingsError
 
 if TYPE_CHECKING:
     from cgtorch.runs.skills import Chosen
-    from cgtorch.tabletop.viewer.execution import Candidate
+    from cgtorch.tabletop.viewer.timeline import Candidate
 
 EXAMPLES = """\b
 Examples:
@@ -113,8 +113,9 @@ def _film(
     from cgtorch.tabletop.viewer.execution import scenario_of
 
     scenario = scenario_of(chosen.kind, count, seed, 0)
+    made = candidate.domain
     with common.waiting(f"filming {chosen.skill.name}", quiet):
-        end, data = film_of(candidate.skill, candidate.domain, scenario, path.suffix[1:])
+        end, data = film_of(candidate.skill, made.physics, made.world_in, scenario, path.suffix[1:])
     write_bytes(path, data)
     click.echo(f"{chosen.skill.name} ends in {end}: {path}, {len(data)} bytes")
 
@@ -131,11 +132,12 @@ def _offer(
     world: str | None,
 ) -> tuple["Chosen", dict[str, "Candidate"]]:
     """The skill of a path, and all skills of its run."""
+    from cgtorch.domains.domain import in_world
     from cgtorch.domains.registry import TABLETOP
     from cgtorch.runs.ledger import read_entry, read_index
     from cgtorch.runs.skills import chosen_skill, stored_domain
     from cgtorch.tabletop.domain import Tabletop
-    from cgtorch.tabletop.viewer.execution import Candidate
+    from cgtorch.tabletop.viewer.timeline import Candidate
 
     if not path.is_file() and (spec := stored_domain(path)) not in (None, TABLETOP):
         raise SettingsError(
@@ -145,7 +147,7 @@ def _offer(
     chosen = chosen_skill(path, name, actions, scenarios)
     domain, run, skills = chosen.domain, chosen.run, {}
     if world is not None:
-        domain = domain.in_world(world)
+        domain = in_world(domain, world)
     assert isinstance(domain, Tabletop)  # noqa: S101  it is about no other
     if run is not None:
         names = [line["name"] for line in read_index(run.folder)]

@@ -12,9 +12,12 @@ if TYPE_CHECKING:
     from cgtorch.domains.data_files import write_data as write_data
     from cgtorch.domains.domain import Domain as Domain
     from cgtorch.domains.domain import Specialists as Specialists
+    from cgtorch.domains.files import Files as Files
     from cgtorch.domains.knowledge import Knowledge as Knowledge
-    from cgtorch.domains.robot_driver import ProtectiveStop as ProtectiveStop
-    from cgtorch.domains.robot_driver import RobotDriver as RobotDriver
+    from cgtorch.domains.models import Models as Models
+    from cgtorch.domains.pictures import Pictures as Pictures
+    from cgtorch.domains.robot import ProtectiveStop as ProtectiveStop
+    from cgtorch.domains.robot import RobotDriver as RobotDriver
     from cgtorch.domains.settings import DomainSettings as DomainSettings
     from cgtorch.domains.settings import option as option
     from cgtorch.domains.world import World as World
@@ -27,9 +30,12 @@ _HOME = {
     "Domain": "cgtorch.domains.domain",
     "DomainSettings": "cgtorch.domains.settings",
     "Field": "cgtorch.ground.fields",
+    "Files": "cgtorch.domains.files",
     "Knowledge": "cgtorch.domains.knowledge",
-    "ProtectiveStop": "cgtorch.domains.robot_driver",
-    "RobotDriver": "cgtorch.domains.robot_driver",
+    "Models": "cgtorch.domains.models",
+    "Pictures": "cgtorch.domains.pictures",
+    "ProtectiveStop": "cgtorch.domains.robot",
+    "RobotDriver": "cgtorch.domains.robot",
     "ScenarioBatch": "cgtorch.ground.environment",
     "Specialists": "cgtorch.domains.domain",
     "World": "cgtorch.domains.world",

@@ -7,6 +7,10 @@ import torch
 from torch import Generator
 
 from cgtorch.domains.domain import Domain
+from cgtorch.domains.files import Files
+from cgtorch.domains.live import OnRobot
+from cgtorch.domains.models import Models
+from cgtorch.domains.pictures import Pictures
 from cgtorch.domains.world import World
 from cgtorch.graphs import ActionSet
 from cgtorch.ground.dry_run import (
@@ -30,10 +34,10 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
     """
     who = type(domain).__name__
     _check_names(domain, who)
-    if scenarios not in (domain.trained_kinds or domain.kinds):
-        known = ", ".join(domain.trained_kinds or domain.kinds)
+    if scenarios not in domain.kinds:
+        known = ", ".join(domain.kinds)
         raise DomainError(f"{who} has no scenarios {scenarios!r:.40}; use one of {known}")
-    if domain.live:
+    if isinstance(domain, OnRobot):
         return False
     drawn = [_drawn(domain, who, scenarios, count) for count in (0, ROWS, ROWS)]
     if not torch.equal(_numbers(drawn[1]), _numbers(drawn[2])):
@@ -71,10 +75,16 @@ def _check_names(domain: Domain[Any], who: str) -> None:
         fields = given if isinstance(given, Sequence) else ()
         if not fields or not all(isinstance(f, Field) for f in fields):
             raise DomainError(f"{who}.{name} is {given!r:.60}; give a Field for each number")
-    for name in ("kinds", "trained_kinds"):
-        given = getattr(domain, name)
-        if not isinstance(given, tuple) or not all(isinstance(k, str) for k in given):
-            raise DomainError(f"{who}.{name} is {given!r:.60}; give names in a tuple")
+    given = domain.kinds
+    if not isinstance(given, tuple) or not all(isinstance(k, str) for k in given):
+        raise DomainError(f"{who}.kinds is {given!r:.60}; give names in a tuple")
+    for name, part in (("models", Models), ("pictures", Pictures), ("files", Files)):
+        kind_of = getattr(domain, name)
+        none = name == "models" and kind_of is None
+        if not (none or (isinstance(kind_of, type) and issubclass(kind_of, part))):
+            raise DomainError(
+                f"{who}.{name} is {kind_of!r:.60}; give a subclass of cgtorch.{part.__name__}"
+            )
     if not domain.kinds:
         raise DomainError(f"{who}.kinds is empty; name at least one kind of scenarios")
     for stage, of in domain.stages.items():

@@ -7,19 +7,16 @@ ends when more data hardly improve Γ, and C expects success where it was met.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Protocol
 
 import torch
 from torch import Generator, Tensor
 
+from cgtorch.domains.knowledge import Knowledge
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.environment import Dataset, Environment, Lanes, start_lanes
 from cgtorch.ground.errors import DataError, DomainError
 from cgtorch.ground.fields import Field, bounds_of, columns_of
-
-if TYPE_CHECKING:
-    from cgtorch.domains.domain import Domain
-    from cgtorch.domains.knowledge import Knowledge
 
 EXPLORATION = "exploration"
 """The phase of world actions."""
@@ -36,7 +33,7 @@ has not brought its error below this share of what it was."""
 BELIEVED = 0.5  # share of the successes that C has to expect, or no skill would ever test
 ADVICE = (
     "give scenarios that begin nearer to success, say which controls are worth trying "
-    "(Domain.worth_trying), implement explore, or evolve in the world: --models none"
+    "(Models.worth_trying), implement explore, or evolve in the world: --models none"
 )
 
 
@@ -53,16 +50,31 @@ class Exploration:
         generator: Of all random choices.
         purse: Counts what is asked.
         known: Data of an exploration that was interrupted; None if it begins.
+        live: Whether the world is a robot, which goes on from where it is.
     """
 
     kind: str
     worlds: Callable[[str, int], Environment]
-    fit: Callable[[Dataset], "Knowledge"]
+    fit: Callable[[Dataset], Knowledge]
     most: int
     lanes: int
     generator: Generator
     purse: Purse
     known: Dataset | None = None
+    live: bool = False
+
+
+class Explored(Protocol):
+    """What an exploration asks of the models; see `cgtorch.domains.models.Models`."""
+
+    def worth_trying(self, percept: Tensor, count: int, generator: Generator) -> Tensor:
+        """(n, U) random controls to try at a percept (D,)."""
+
+    def worth_testing(self, percept: Tensor) -> Tensor:
+        """(n,) bool, whether to test success at percepts (n, D)."""
+
+    def possible(self, percept: Tensor, control: Tensor) -> Tensor:
+        """(n,) bool, whether controls (n, U) can be carried out at percepts (n, D)."""
 
 
 def random_controls(control: Sequence[Field], count: int, generator: Generator) -> Tensor:
@@ -82,7 +94,7 @@ def random_controls(control: Sequence[Field], count: int, generator: Generator) 
     return drawn
 
 
-def explore(domain: "Domain[Any]", about: Exploration) -> Dataset:
+def explore(models: Explored, about: Exploration) -> Dataset:
     """Transitions (p, u, p′) and tests of success from few motions.
 
     Raises:
@@ -90,20 +102,20 @@ def explore(domain: "Domain[Any]", about: Exploration) -> Dataset:
         DomainError: A control has no bounds.
         BudgetSpentError: The budget does not cover the data that models need.
     """
-    robots, error = _Robots(domain, about), float("inf")
-    data, models = about.known or robots.moved(None, FIRST), None
+    robots, error = _Robots(models, about), float("inf")
+    data, known = about.known or robots.moved(None, FIRST), None
     while True:
         if _rarer(data) >= FEWEST and len(data.percept) >= LEAST:
-            before, models = error, about.fit(data)
-            error = _error(models)
+            before, known = error, about.fit(data)
+            error = _error(known)
             settled = error <= GOOD or (before < float("inf") and error > GAIN * before)
-            if settled and _believed(models, data) >= BELIEVED:
+            if settled and _believed(known, data) >= BELIEVED:
                 return data
         if robots.motions >= about.most:
             break
-        more = FIRST if models is None else max(FIRST, robots.motions // 2)
-        data = data.extended(robots.moved(models, more))
-    if models is None:
+        more = FIRST if known is None else max(FIRST, robots.motions // 2)
+        data = data.extended(robots.moved(known, more))
+    if known is None:
         met = "missed" if _rarer(data) == int(data.succeeded.sum()) else "met"
         raise DataError(
             f"success was {met} in {len(data.succeeded) - _rarer(data)} of {len(data.succeeded)} "
@@ -119,24 +131,24 @@ class _Robots:
     A live one goes on from where it is, since somebody would have to arrange a fresh start.
     """
 
-    def __init__(self, domain: "Domain[Any]", about: Exploration):
-        self._domain, self._about = domain, about
+    def __init__(self, models: Explored, about: Exploration):
+        self._models, self._about = models, about
         self._world: Environment | None = None
         self._lanes: Lanes | None = None
         self._left = 0
         self.motions = 0 if about.known is None else len(about.known.percept)
 
-    def moved(self, models: "Knowledge | None", motions: int) -> Dataset:
+    def moved(self, known: Knowledge | None, motions: int) -> Dataset:
         """Data of about so many motions of all robots together."""
-        about, domain = self._about, self._domain
+        about, models = self._about, self._models
         moved, tested = list[tuple[Tensor, ...]](), list[tuple[Tensor, ...]]()
         for _ in range(-(-motions // about.lanes)):
             world, lanes = self._started()
-            control = torch.cat([_chosen(domain, models, p, about) for p in lanes.percept])
+            control = torch.cat([_chosen(models, known, p, about) for p in lanes.percept])
             after, done = world.step(lanes, control)
             self.motions += len(lanes)
             moved.append((lanes.percept[done], control[done], after.percept[done]))
-            rows = domain.worth_testing(after.percept).nonzero()[:, 0]
+            rows = models.worth_testing(after.percept).nonzero()[:, 0]
             if len(rows):
                 some, chance = world.success(after.rows(rows))
                 tested.append((after.percept[rows], chance > 0.5))
@@ -150,7 +162,7 @@ class _Robots:
     def _started(self) -> tuple[Environment, Lanes]:
         """The world and its lanes, fresh ones if a chain of motions is over."""
         count = self._about.lanes
-        if self._world is None or self._lanes is None or not (self._left or self._domain.live):
+        if self._world is None or self._lanes is None or not (self._left or self._about.live):
             self._world = self._about.worlds(self._about.kind, count)
             self._lanes = start_lanes(self._world, torch.arange(count), 0, 0)
             self._left = CHAIN
@@ -158,24 +170,24 @@ class _Robots:
 
 
 def _chosen(
-    domain: "Domain[Any]", models: "Knowledge | None", percept: Tensor, about: Exploration
+    models: Explored, known: Knowledge | None, percept: Tensor, about: Exploration
 ) -> Tensor:
     """(1, U) a control for a percept (D,): a random one, or one that ends where C is unsure."""
     for _ in range(TRIES):
-        drawn = domain.worth_trying(percept, CANDIDATES, about.generator)
+        drawn = models.worth_trying(percept, CANDIDATES, about.generator)
         here = percept.expand(len(drawn), -1).contiguous()
-        able = domain.possible(here, drawn)
+        able = models.possible(here, drawn)
         if able.any():
             break
     else:
         return drawn[:1]
     drawn, here = drawn[able], here[able]
     bold = float(torch.rand((), generator=about.generator)) < BOLD
-    if models is None or not bold:
+    if known is None or not bold:
         return drawn[:1]
     with torch.no_grad():
-        predicted = models.gamma(here, drawn)
-        unsure = (models.classifier(predicted) - 0.5).abs()
+        predicted = known.gamma(here, drawn)
+        unsure = (known.classifier(predicted) - 0.5).abs()
     return drawn[unsure.argmin()][None]
 
 
@@ -184,15 +196,15 @@ def _rarer(data: Dataset) -> int:
     return min(int(data.succeeded.sum()), int((~data.succeeded).sum()))
 
 
-def _believed(models: "Knowledge", data: Dataset) -> float:
+def _believed(known: Knowledge, data: Dataset) -> float:
     """The share of successful tests that C expects to succeed."""
     with torch.no_grad():
-        return float((models.classifier(data.tested[data.succeeded]) > 0.5).float().mean())
+        return float((known.classifier(data.tested[data.succeeded]) > 0.5).float().mean())
 
 
-def _error(models: "Knowledge") -> float:
+def _error(known: Knowledge) -> float:
     """Γ's mean cross-validated error, as a share of that of a model without a machine."""
-    report = models.gamma_report
+    report = known.gamma_report
     pairs = zip(report.error, report.baseline_error, strict=True)
     shares = [error / baseline for error, baseline in pairs if baseline > 0]
     return sum(shares) / max(1, len(shares))

@@ -15,10 +15,17 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain, Specialists
+from cgtorch.domains.files import Files
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_vector import VectorSteps, VectorWorld
-from cgtorch.domains.gymnasium_world import Episodes, GymnasiumWorld, PlayedWorld, Scaling
-from cgtorch.domains.settings import DomainSettings
+from cgtorch.domains.gymnasium_world import (
+    Episodes,
+    GymnasiumWorld,
+    PlayedWorld,
+    Scaling,
+    VectorSteps,
+    VectorWorld,
+)
+from cgtorch.domains.pictures import Pictures
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import DomainError
 from cgtorch.ground.fields import Field
@@ -36,15 +43,63 @@ class Starts(ScenarioBatch):
     seed: Tensor
 
 
+class EpisodePictures(Pictures["Gymnasium"]):
+    """Words for episodes."""
+
+    solved: ClassVar[tuple[str, str]] = ("solved", "Episodes solved")
+
+    def about(self) -> list[tuple[str, str]]:
+        """See `Pictures.about`."""
+        return [
+            ("Environment", self.domain.settings.environment),
+            ("Solved from a return of", f"{self.domain.target_return:g}"),
+        ]
+
+
+class ScalingFiles(Files["Gymnasium"]):
+    """The scaling of observations, and the return that counts as solved."""
+
+    def write(self, folder: Path) -> None:
+        """See `Files.write`."""
+        scaling = self.domain.scaling
+        about = {"centre": scaling.centre.tolist(), "scale": scaling.scale.tolist()}
+        write_json(folder / FILE, {**about, "target_return": self.domain.target_return})
+
+    @classmethod
+    def read(cls, kind: type["Gymnasium"], settings: Any, folder: Path) -> "Gymnasium":
+        """See `Files.read`."""
+        data = read_json(folder / FILE)
+        try:
+            scaling = Scaling(
+                *(torch.tensor(data[n], dtype=torch.float64) for n in ("centre", "scale"))
+            )
+            target = float(data["target_return"])
+            if not (scaling.scale > 0).all() or not scaling.centre.isfinite().all():
+                raise ValueError("a scale is not above 0")
+        except (KeyError, TypeError, ValueError, RuntimeError) as e:
+            raise DomainError(f"{str(folder / FILE)!r} is damaged ({e}); restore the file") from e
+        made = kind(settings, scaling, target)
+        if scaling.scale.shape != scaling.centre.shape or len(scaling.scale) != len(made.percept):
+            raise DomainError(f"{str(folder / FILE)!r} is of another environment; restore the file")
+        return made
+
+    def made_with(self) -> Mapping[str, str]:
+        """See `Files.made_with`."""
+        import gymnasium
+
+        return {"gymnasium": gymnasium.__version__}
+
+
 class Gymnasium(Domain[Starts]):
     """A Gymnasium environment, such as gymnasium:CartPole-v1."""
 
     settings: GymnasiumSettings
     settings_type = GymnasiumSettings
-    models = "none"
+    models = None
     kinds = ("starts",)
     specialists = Specialists(group=8, stall=100)
-    solved: ClassVar[tuple[str, str]] = ("solved", "Episodes solved")
+    pictures = EpisodePictures
+    files = ScalingFiles
 
     def __init__(
         self,
@@ -78,43 +133,6 @@ class Gymnasium(Domain[Starts]):
         size, seeds = len(self.control), scenarios.seed
         common = self.episodes, seeds, self.scaling, size, self.target_return
         return VectorWorld(self.vector, *common) if self.vector else PlayedWorld(*common)
-
-    def write(self, folder: Path) -> None:
-        """See `Domain.write`: the scaling of observations, and the return that counts as solved."""
-        about = {"centre": self.scaling.centre.tolist(), "scale": self.scaling.scale.tolist()}
-        write_json(folder / FILE, {**about, "target_return": self.target_return})
-
-    @classmethod
-    def read(cls, settings: DomainSettings, folder: Path) -> "Gymnasium":
-        """See `Domain.read`."""
-        assert isinstance(settings, GymnasiumSettings)  # noqa: S101  as the class says
-        data = read_json(folder / FILE)
-        try:
-            scaling = Scaling(
-                *(torch.tensor(data[n], dtype=torch.float64) for n in ("centre", "scale"))
-            )
-            target = float(data["target_return"])
-            if not (scaling.scale > 0).all() or not scaling.centre.isfinite().all():
-                raise ValueError("a scale is not above 0")
-        except (KeyError, TypeError, ValueError, RuntimeError) as e:
-            raise DomainError(f"{str(folder / FILE)!r} is damaged ({e}); restore the file") from e
-        made = cls(settings, scaling, target)
-        if scaling.scale.shape != scaling.centre.shape or len(scaling.scale) != len(made.percept):
-            raise DomainError(f"{str(folder / FILE)!r} is of another environment; restore the file")
-        return made
-
-    def made_with(self) -> Mapping[str, str]:
-        """See `Domain.made_with`."""
-        import gymnasium
-
-        return {"gymnasium": gymnasium.__version__}
-
-    def about(self) -> list[tuple[str, str]]:
-        """See `Domain.about`."""
-        return [
-            ("Environment", self.settings.environment),
-            ("Solved from a return of", f"{self.target_return:g}"),
-        ]
 
     def _target(self) -> float:
         given, own = self.settings.target_return, self.episodes.threshold

@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import torch
 from torch import Generator, Tensor
@@ -18,11 +18,9 @@ from cgtorch.evolution.search import derived_generator
 from cgtorch.ground.environment import Dataset
 from cgtorch.ground.processes import in_processes
 from cgtorch.ground.statistics import Acceptance, accept_model
+from cgtorch.improvement.events import ModelSummary
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import MOST_NOVEL, Compile, Possible
-
-if TYPE_CHECKING:
-    from cgtorch.domains.domain import Domain
 
 SWIFT_CENTRES = 128
 FAMILIAR = 0.999  # share of the training transitions that are not novel
@@ -33,6 +31,7 @@ ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
 MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
 """Maximum numbers of transitions and labels to learn from; of more, a coreset is kept."""
 FEW = 1000  # rows below which models are fitted anew, which takes less than a second
+SHOWN = 6  # numbers of a percept whose errors are told in a line
 MOST_NEW = 100  # transitions, and tests that C got right, learned from one experience
 
 Model = TypeVar("Model", bound=LearnedModel)
@@ -64,9 +63,16 @@ class Knowledge:
     acceptances: tuple[Acceptance, Acceptance] | None = None
 
 
-def fit_models(domain: "Domain[Any]", dataset: Dataset, seed: int) -> Knowledge:
-    """Γ and C from the data. From `SPARE` rows on, a tenth of them is held out.
+FitSuccess: TypeAlias = Callable[[Dataset, int], tuple[SuccessClassifier, SuccessReport]]
+FitTransition: TypeAlias = Callable[[Dataset, int], tuple[TransitionModel, TransitionReport]]
 
+
+def fit_models(
+    success: FitSuccess, transition: FitTransition, dataset: Dataset, seed: int
+) -> Knowledge:
+    """Γ and C from the data and a seed, by these functions.
+
+    From `SPARE` rows on, a tenth of them is held out.
     If compiled code may use several threads and there are many rows, Γ is fitted beside C in
     another process.
     """
@@ -74,7 +80,7 @@ def fit_models(domain: "Domain[Any]", dataset: Dataset, seed: int) -> Knowledge:
     data, aside = hold_out(dataset) if many else (dataset, taken(dataset, slice(0), slice(0)))
 
     def part(number: int) -> Any:
-        return (domain.fit_success, domain.fit_transition)[number](data, seed)
+        return (success, transition)[number](data, seed)
 
     fitted = in_processes(part, 2, native.threads() if many else 1)
     (classifier, report), (gamma, gamma_report) = fitted
@@ -160,17 +166,20 @@ def imagine(
 
 
 def learn(
-    domain: "Domain[Any]", knowledge: Knowledge, experience: Dataset, generator: Generator
+    fit: Callable[[Dataset, int], Knowledge],
+    knowledge: Knowledge,
+    experience: Dataset,
+    generator: Generator,
 ) -> Knowledge:
     """Γ and C trained on additional experience.
 
-    As long as there are fewer than `FEW` rows, both are fitted anew to all data, with their
-    hyper-parameters. Of more, they go on with `learn_more`.
+    As long as there are fewer than `FEW` rows, both are fitted anew by `fit` to all data, with
+    their hyper-parameters. Of more, they go on with `learn_more`.
     """
     every = knowledge.dataset.extended(knowledge.aside).extended(experience)
     if max(len(every.percept), len(every.succeeded)) < FEW:
         seed = int(torch.randint(2**31, (), generator=generator))
-        return fit_models(domain, every, seed)
+        return fit(every, seed)
     return learn_more(knowledge, experience, generator)
 
 
@@ -233,3 +242,61 @@ def swift_gamma(gamma: TransitionModel, dataset: Dataset) -> TransitionModel:
         return gamma
     with torch.no_grad():
         return gamma.with_fewer_centres(SWIFT_CENTRES, dataset.percept, dataset.control)
+
+
+def summary_of(knowledge: Knowledge) -> ModelSummary:
+    """The results of cross-validation, or, after learning, whether new models were accepted."""
+    rows = rows_of(knowledge)
+    if knowledge.acceptances is not None:
+        said = "; ".join(map(_learned, ("Γ", "C"), knowledge.acceptances))
+        return ModelSummary(f"{said}; now from {rows}", {"models/rows": _moves(knowledge)})
+    classifier = knowledge.classifier_report
+    text = (
+        f"Γ errs by {_errors(knowledge.gamma_report)}, "
+        f"the balanced accuracy of C is {100 * classifier.balanced_accuracy:.1f} %; {rows}"
+    )
+    curves = {
+        "gamma": knowledge.gamma_report.learning_curve,
+        "classifier": classifier.learning_curve,
+    }
+    return ModelSummary(text, scalars_of(knowledge), curves, classifier.reliability, first=True)
+
+
+def scalars_of(knowledge: Knowledge) -> dict[str, float]:
+    """The results of cross-validation, by TensorBoard tags."""
+    gamma, classifier = knowledge.gamma_report, knowledge.classifier_report
+    errors = zip(gamma.coordinates, gamma.error, strict=True)
+    return {
+        "models/rows": _moves(knowledge),
+        **{f"gamma/error_{name.replace(' ', '_')}": error for name, error in errors},
+        "classifier/balanced_accuracy": classifier.balanced_accuracy,
+        "classifier/calibration_error": classifier.calibration_error,
+    }
+
+
+def rows_of(knowledge: Knowledge) -> str:
+    """The amount of data of the models, in words."""
+    return f"{_moves(knowledge)} transitions and {len(knowledge.dataset.succeeded)} labels"
+
+
+def _moves(knowledge: Knowledge) -> int:
+    return len(knowledge.dataset.percept)
+
+
+def _errors(report: TransitionReport) -> str:
+    """Γ's cross-validated errors, sorted by their ratio to the error of a model without Γ."""
+    rows = zip(report.error, report.baseline_error, report.coordinates, report.units, strict=True)
+    worst = sorted(rows, key=lambda row: row[0] / row[1] if row[1] else 0.0, reverse=True)
+    said = [f"{error:.2g}{f' {unit}' if unit else ''} on {name}" for error, _, name, unit in worst]
+    more = f" and less on {len(said) - SHOWN} others (see TensorBoard)" if len(said) > SHOWN else ""
+    return ", ".join(said[:SHOWN]) + more
+
+
+def _learned(name: str, acceptance: Acceptance) -> str:
+    """The decision about a model that was trained on more data."""
+    if acceptance.accepted:
+        return f"{name} was trained on more data"
+    return (
+        f"{name} stays as it was, since its error on earlier data would be "
+        f"{acceptance.after:.4f} instead of {acceptance.before:.4f}"
+    )

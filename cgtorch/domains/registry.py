@@ -12,7 +12,7 @@ from cgtorch.ground.errors import CgtorchError, DomainError
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
-    from cgtorch.domains.robot_driver import RobotDriver
+    from cgtorch.domains.robot import RobotDriver
 
 ENTRY_POINTS = "cgtorch.domains"
 TABLETOP, GYMNASIUM = "tabletop", "gymnasium"
@@ -46,7 +46,7 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
     """
     from cgtorch.domains.domain import Domain
     from cgtorch.domains.live import domain_of_driver
-    from cgtorch.domains.robot_driver import RobotDriver
+    from cgtorch.domains.robot import RobotDriver
 
     place = _CLASSES.get(spec.partition(":")[0], spec)
     declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
@@ -70,7 +70,7 @@ def spec_of(domain: Any) -> "tuple[str, Domain[Any] | None]":
     DomainError for anything else.
     """
     from cgtorch.domains.domain import Domain
-    from cgtorch.domains.robot_driver import RobotDriver
+    from cgtorch.domains.robot import RobotDriver
 
     if isinstance(domain, str):
         return domain, None
@@ -98,7 +98,7 @@ def spec_of_class(kind: Any) -> str:
 
 def make_driver(spec: str) -> "RobotDriver":
     """The driver of a robot, "package.module:Class"; DomainError if there is none."""
-    from cgtorch.domains.robot_driver import RobotDriver
+    from cgtorch.domains.robot import RobotDriver
 
     if ":" not in spec:
         raise DomainError(f"driver {spec!r:.60} is no name; give package.module:Class")

@@ -25,12 +25,13 @@ def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
     from rich.table import Table
     from rich.text import Text
 
+    pictures = domain.pictures(domain)
     table = Table(
-        title=domain.solved[1], title_justify="left", header_style="bold", box=SIMPLE_HEAD,
+        title=pictures.solved[1], title_justify="left", header_style="bold", box=SIMPLE_HEAD,
         caption=Text(_overall(results, domain)), caption_justify="left", caption_style="",
         pad_edge=False, padding=(0, 1, 0, 0),
     )  # fmt: skip
-    beside = ["ours", domain.publisher] if domain.published else ["solved"]
+    beside = ["ours", pictures.publisher] if pictures.published else ["solved"]
     texts = ["stage", "scenarios", *beside]
     for name in (*texts, "W kept", "fresh", "nodes", "gens", "time"):
         justify: Literal["left", "right"] = "left" if name in texts else "right"
@@ -41,13 +42,14 @@ def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
 
 
 def _row(result: Result, domain: "Domain[Any]") -> list[str]:
-    published = domain.published.get(str(result.get("stage")))
+    every = domain.pictures.published
+    published = every.get(str(result.get("stage")))
     size, lost = result.get("w_size"), result.get("w_lost")
     return [
         _text(result, "stage"),
         _text(result, "scenarios"),
         _share(result, "targets_succeeded", "targets") if result.get("targets") else MISSING,
-        *([published.text if published else MISSING] if domain.published else []),
+        *([published.text if published else MISSING] if every else []),
         MISSING if size is None or lost is None else f"{size - lost}/{size}",
         _share(result.get("fresh") or {}, "succeeded", "tried"),
         _text(result, "nodes"),
@@ -62,18 +64,19 @@ def _overall(results: Sequence[Result], domain: "Domain[Any]") -> str:
     if not tested:
         return ""
     last = tested[-1]["overall"]
-    kind = last.get("scenarios", domain.usual_kind)
+    kind = last.get("scenarios", domain.kinds[0])
     ours = _share(last, "succeeded", "tried")
     if last.get("tried"):
         ours += f" = {100 * last['succeeded'] / last['tried']:.3g} %"
     if last.get("mean_return") is not None:
         ours += f", mean return {last['mean_return']:.5g}"
     said = f"{_text(tested[-1], 'stage')} on {kind}: {ours}."
-    theirs = domain.published.get("") if kind == domain.usual_kind else None
+    pictures = domain.pictures
+    theirs = pictures.published.get("") if kind == domain.kinds[0] else None
     if theirs:
         after = f" after {[*domain.stages][-1]}" if domain.stages else ""
         share = f"{theirs.text} = {100 * theirs.succeeded / theirs.tried:.3g} %"
-        publisher = domain.publisher[:1].upper() + domain.publisher[1:]
+        publisher = pictures.publisher[:1].upper() + pictures.publisher[1:]
         said += f" {publisher}{after}: {share}."
     return said
 

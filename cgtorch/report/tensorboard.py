@@ -57,7 +57,7 @@ class TensorBoardWatch:
             recalled: Number of these generations that will be reported as recalled.
             actions: The actions of evolved graphs; without them, graphs are drawn only when a skill
                 is accepted.
-            draw_scenarios: Draws what an accepted skill has solved (`Domain.draw_scenarios`).
+            draw_scenarios: Draws what an accepted skill has solved (`Pictures.scenarios`).
             histogram_every: Generations between histograms of one evolution.
             picture_seconds: Least time between pictures of later models, and of graphs that are not
                 accepted yet.

@@ -16,7 +16,7 @@ Lines are JSON objects with `event` and `time` (s since 1970). Events of trainin
 interruption is there twice; `rows_of` gives the last one.
 
 With a robot there is a line for each of its actions besides: `look` begins an episode, `action` is
-a motion or a test with its percepts and outcome, and `episode` ends it (`cgtorch.domains.live`).
+a motion or a test with its percepts and outcome, and `episode` ends it (`cgtorch.domains.robot`).
 """
 
 import math

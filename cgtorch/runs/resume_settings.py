@@ -89,7 +89,7 @@ def take_over(run: StoredRun, settings: RunSettings, stage: str) -> TakenOver:
     about = read_json(run.folder / "run.json")
     old, new = to_plain(run.settings), to_plain(settings)
     changed = {name: (old[name], new[name]) for name in old if old[name] != new[name]}
-    current = {**versions(), **run.domain.made_with()}
+    current = {**versions(), **run.files.made_with()}
     changed |= {k: (about.get(k), v) for k, v in current.items() if about.get(k) != v}
     before = _next(run, stage)
     if not changed:

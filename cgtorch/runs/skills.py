@@ -1,11 +1,11 @@
 """Skills from command-line arguments: of a run, a stage, a ledger, or a file."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cgtorch.domains.domain import Domain
+from cgtorch.domains.domain import Adaptable, Domain
 from cgtorch.domains.registry import make_domain
 from cgtorch.domains.settings import from_plain
 from cgtorch.graphs import Skill, load_skill, resolve_actions
@@ -93,6 +93,10 @@ def last_skill(
     raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
 
 
+def _variants(domain: Domain[Any], kind: str) -> Iterable[Domain[Any]]:
+    return domain.variants(kind) if isinstance(domain, Adaptable) else (domain,)
+
+
 def lone_skill(
     path: Path, names: Sequence[str] = (), kind: str | None = None, domain: str = RunSettings.domain
 ) -> tuple[Domain[Any], str, Skill]:
@@ -101,12 +105,12 @@ def lone_skill(
     GraphError if it does not fit any variant of the domain, ActionError for an unknown action.
     """
     made = make_domain(domain)
-    kind = made.usual_kind if kind is None else kind
+    kind = made.kinds[0] if kind is None else kind
     if kind not in made.kinds:
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(made.kinds)}")
     errors: list[GraphError | ActionError] = []
     known = set[str]()
-    for variant in made.variants(kind):
+    for variant in _variants(made, kind):
         sizes = len(variant.percept), len(variant.control)
         actions = resolve_actions(names, variant.actions(), sizes)
         known.update(actions.names)

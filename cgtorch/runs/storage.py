@@ -28,7 +28,7 @@ GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"
 DATA, ASIDE = "data.safetensors", "aside.safetensors"
 MAX_BYTES = 2**30
 Unfitted: TypeAlias = Mapping[str, Callable[[], nn.Module]]
-"""Functions that make unfitted models, by class name; see `Domain.unfitted`."""
+"""Functions that make unfitted models, by class name; see `Models.unfitted`."""
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], notes: dict[str, str]) -> None:
@@ -277,7 +277,7 @@ def save_progress(folder: Path, progress: Progress[Any], seed: int) -> None:
 def load_progress(run: StoredRun, folder: Path) -> Progress[Any]:
     """Read the files of `save_progress`."""
     solved, missed = load_scenarios(folder / "scenarios.json", run.like())
-    knowledge = load_knowledge(folder, run.domain.unfitted()) if run.learns else None
+    knowledge = load_knowledge(folder, run.models.unfitted()) if run.learns else None
     chance = read_json(folder / "scenarios.json").get("chance") is True
     progress = Progress(None, solved, missed, knowledge, chance=chance)
     if (folder / "skill.json").is_file():

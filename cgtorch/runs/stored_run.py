@@ -26,8 +26,11 @@ import torch
 
 from cgtorch import __version__, native
 from cgtorch.domains.check import check_domain
-from cgtorch.domains.domain import Domain
+from cgtorch.domains.domain import Adaptable, Domain, rewarded
+from cgtorch.domains.files import Files
 from cgtorch.domains.live import DriverDomain, Placements, on_robot
+from cgtorch.domains.models import Models
+from cgtorch.domains.pictures import Pictures
 from cgtorch.domains.registry import (
     check_options,
     domain_class,
@@ -84,7 +87,22 @@ class StoredRun:
     def learns(self) -> bool:
         """Whether its skills are evolved in Γ and C, not in the world itself."""
         chosen = self.settings.models
-        return (self.domain.models if chosen == "auto" else chosen) == "learned"
+        return self.domain.models is not None if chosen == "auto" else chosen == "learned"
+
+    @property
+    def models(self) -> Models[Any]:
+        """What the domain says about Γ and C."""
+        return (self.domain.models or Models)(self.domain)
+
+    @property
+    def pictures(self) -> Pictures[Any]:
+        """What reports show of the domain."""
+        return self.domain.pictures(self.domain)
+
+    @property
+    def files(self) -> Files[Any]:
+        """The domain's files in the run."""
+        return self.domain.files(self.domain)
 
     def like(self) -> ScenarioBatch:
         """A batch of 0 scenarios of the run's kind, as its files have them."""
@@ -107,7 +125,7 @@ def round_name(number: int) -> str:
 
 def kind_of(settings: RunSettings, domain: Domain[Any]) -> str:
     """The kind of scenarios of a run."""
-    return domain.usual_kind if settings.scenarios == "auto" else settings.scenarios
+    return domain.kinds[0] if settings.scenarios == "auto" else settings.scenarios
 
 
 def versions() -> dict[str, str]:
@@ -162,12 +180,12 @@ def write_run(run: StoredRun) -> None:
         "format": FORMAT,
         "version": VERSION,
         **versions(),
-        **run.domain.made_with(),
+        **run.files.made_with(),
         "settings": to_plain(run.settings),
         "domain_settings": to_plain(run.domain.settings),
     }
     with nullcontext(folder) if (folder / "run.json").exists() else whole_folder(folder) as new:
-        run.domain.write(new)
+        run.files.write(new)
         write_json(new / "run.json", about)
 
 
@@ -225,7 +243,8 @@ def read_run(
     if isinstance(domain, Domain):
         return _checked(folder, settings, domain, driver or "")
     own = from_plain(settings_class(settings.domain), about.get("domain_settings"))
-    read = domain_class(settings.domain).read(own, folder)
+    made = domain_class(settings.domain)
+    read = made.files.read(made, own, folder)
     return _checked(folder, settings, read, driver or "")
 
 
@@ -242,10 +261,11 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
     With a `driver`, the world is a robot, of which nothing is asked here.
     """
     kind = kind_of(settings, domain)
-    if kind not in (kinds := domain.trained_kinds or domain.kinds):
-        raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(kinds)}")
-    domain = domain.for_run(kind, settings.method)
-    if driver or domain.live or not domain.repeats:
+    if kind not in domain.kinds:
+        raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(domain.kinds)}")
+    if isinstance(domain, Adaptable):
+        domain = domain.for_run(kind, settings.method)
+    if driver or not domain.repeats:
         _check_alone()
     if driver:
         domain = on_robot(domain, make_driver(driver), JsonLines(folder / LOG))
@@ -257,13 +277,13 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
     every = zip(actions.names, actions.actions, strict=True)
     foreign = _foreign(domain)
     own = {name: action for name, action in every if foreign or _foreign(action)}
-    if own and not domain.live:
+    if own and not driver:
         world = domain.world(domain.draw(kind, 2, torch.Generator().manual_seed(0)))
         for name, action in own.items():
             _check_sizes(name, action, *sizes)
             check_action(name, action, world)
     run = StoredRun(folder, settings, domain, actions, repeats)
-    if run.learns and domain.rewarded:
+    if run.learns and rewarded(domain):
         raise SettingsError(
             f"domain {settings.domain!r} gives rewards, which Γ and C do not know; its skills are "
             "evolved in the world itself: --models none"

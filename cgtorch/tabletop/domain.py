@@ -5,14 +5,17 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import torch
 from torch import Generator, Tensor, nn
 
-from cgtorch.domains.domain import Domain, Published, Specialists
+from cgtorch.domains.domain import Domain, Specialists
 from cgtorch.domains.exploration import EXPLORATION, Exploration
+from cgtorch.domains.files import Files
 from cgtorch.domains.knowledge import Knowledge, imagine
+from cgtorch.domains.models import Models
+from cgtorch.domains.pictures import Pictures, Published
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
 from cgtorch.domains.transition import TransitionModel
@@ -40,6 +43,7 @@ from cgtorch.tabletop.models import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.transition import TableTransitionModel
 from cgtorch.tabletop.physics import MujocoWorld, Physics
+from cgtorch.tabletop.physics.film import film_of
 from cgtorch.tabletop.physics.model import mujoco
 from cgtorch.tabletop.published import EXPERIMENTS, stage_drawing
 from cgtorch.tabletop.settings import WORLDS, TabletopSettings
@@ -79,6 +83,130 @@ can only solve scenarios that are close to each other. Networks in the edge's fr
 if they are evolved on diverse ones."""
 
 
+class TabletopModels(Models["Tabletop"]):
+    """Γ and C of the tabletop."""
+
+    def explore(self, about: Exploration) -> Dataset:
+        """See `Models.explore`; the paper's method gets as many random data as it had."""
+        if not self.domain.published_data:
+            return super().explore(about)
+        about.purse.pay(EXPLORATION, Asked(motions=TRANSITIONS, tests=LABELS))
+        return collect(self._scenes(about.kind), TRANSITIONS, LABELS, about.generator)
+
+    def worth_trying(self, percept: Tensor, count: int, generator: Generator) -> Tensor:
+        """See `Models.worth_trying`: most motions end near the object, in any direction."""
+        return motions_to_try(percept, count, generator)
+
+    def worth_testing(self, percept: Tensor) -> Tensor:
+        """See `Models.worth_testing`: where the object may be within reach."""
+        return parts_of(percept).object.norm(dim=-1) < WITHIN
+
+    def _scenes(self, kind: str) -> Scenes:
+        return Scenes(self.domain.world, kind, THRIFT[self.domain.settings.world])
+
+    def possible(self, percept: Tensor, control: Tensor) -> Tensor:
+        """See `Models.possible`."""
+        return self._clear_motion(percept.device)(percept, control)
+
+    def noisy(self, percept: Tensor) -> Tensor:
+        """See `Models.noisy`: boxes of absent obstacles have no noise."""
+        there = parts_of(percept).present.repeat_interleave(BOX, -1)
+        size = percept.shape[-1] - there.shape[-1]
+        return torch.cat([torch.ones_like(percept[..., :size]), there.to(percept)], -1)
+
+    def unfitted(self) -> Mapping[str, Callable[[], nn.Module]]:
+        """See `Models.unfitted`."""
+        return {kind.__name__: kind for kind in (TableTransitionModel, GraspClassifier)}
+
+    def fit_transition(self, data: Dataset, seed: int) -> tuple[TransitionModel, TransitionReport]:
+        """See `Models.fit_transition`."""
+        rows = data.percept, data.control, data.next_percept
+        return fit_transition_model(TableTransitionModel(), *rows, seed=seed)
+
+    def fit_success(self, data: Dataset, seed: int) -> tuple[SuccessClassifier, SuccessReport]:
+        """See `Models.fit_success`."""
+        rows = data.tested, data.succeeded
+        return fit_success_classifier(GraspClassifier(), *rows, seed=seed, C=COSTS, gamma=GAMMAS)
+
+    def imagine(
+        self,
+        knowledge: Knowledge,
+        percepts: Tensor,
+        replicas: int,
+        generator: Generator,
+        device: torch.device | str = "cpu",
+    ) -> ModelEnvironment:
+        """See `Models.imagine`; these models are compiled."""
+        return imagine(
+            knowledge, percepts, replicas, generator, device,
+            possible=self._clear_motion(device), noisy=self.noisy, compiled=compiled_models,
+        )  # fmt: skip
+
+    def _clear_motion(self, device: torch.device | str) -> ClearMotion:
+        """MoveBase's own check with a margin, so that the world's noise does not block a motion."""
+        footprint = torch.tensor(self.domain.robot.description.footprint, device=device)
+        more = footprint.new_tensor([-MARGIN, MARGIN, -MARGIN, MARGIN])
+        return ClearMotion(footprint + more)
+
+
+class TabletopPictures(Pictures["Tabletop"]):
+    """Scenes from above, and what the paper published."""
+
+    published: ClassVar[Mapping[str, Published]] = EXPERIMENTS
+    publisher = "the paper"
+    solved = ("reached", "Objects reached")
+
+    def about(self) -> list[tuple[str, str]]:
+        """See `Pictures.about`."""
+        s = self.domain.settings
+        world = f"{s.world}, a touch {s.touch}" if s.world == "mujoco" else s.world
+        return [("Robot", self.domain.robot.description.name), ("World", world)]
+
+    def scenarios(
+        self, scenarios: Scenarios, succeeded: Tensor, targets: Tensor, title: str = ""
+    ) -> "Figure":
+        """See `Pictures.scenarios`: the scenes from above."""
+        footprint = self.domain.robot.description.footprint
+        return draw_placements(scenarios, succeeded, targets, footprint=footprint, title=title)
+
+    def film(self, skill: "Skill", scenarios: Scenarios) -> bytes | None:
+        """See `Pictures.film`: what MuJoCo's renderer sees of it in physics."""
+        if self.domain.settings.world != "mujoco":
+            return None
+        return film_of(skill, self.domain.physics, self.domain.world_in, scenarios, "webp")[1]
+
+    def stage(self, name: str) -> str:
+        """See `Pictures.stage`: the paper's drawing of an experiment."""
+        return stage_drawing(self.domain.stages[name], self.domain.robot.description.footprint)
+
+
+class RobotFiles(Files["Tabletop"]):
+    """The robot's URDF, with shapes in place of meshes, and its description."""
+
+    def write(self, folder: Path) -> None:
+        """See `Files.write`."""
+        (folder / "robot").mkdir()
+        urdf, words = (
+            read_bytes(source, MAX_BYTES, RobotError) for source in self.domain.robot_files()
+        )
+        urdf = self.domain.robot.urdf.xml if self.domain.robot.meshes else urdf
+        for data, target in zip((urdf, words), _stored(folder), strict=True):
+            write_bytes(target, data)
+
+    @classmethod
+    def read(cls, kind: type["Tabletop"], settings: Any, folder: Path) -> "Tabletop":
+        """See `Files.read`."""
+        return kind(settings, load_robot(*_stored(folder)))
+
+    def options(self, folder: Path) -> Mapping[str, str]:
+        """See `Files.options`: a robot that is not built in is read from the run."""
+        pairs = zip(_stored(folder), robot_files(), strict=True)
+        if all(own.read_bytes() == built_in.read_bytes() for own, built_in in pairs):
+            return {"urdf": "", "robot": TabletopSettings.robot}
+        urdf, robot = _stored(place_of(folder))
+        return {"urdf": urdf.as_posix(), "robot": robot.as_posix()}
+
+
 class Tabletop(Domain[Scenarios]):
     """A robot that reaches objects on a table (section VI).
 
@@ -93,11 +221,10 @@ class Tabletop(Domain[Scenarios]):
     settings: TabletopSettings
     settings_type = TabletopSettings
     kinds = ("perimeter", *EDGES, *(name for name in DRAWS if name.startswith("general")))
-    trained_kinds = ("perimeter", "general", "general-clutter")
     stages: Mapping[str, str] = {"S0": "near", "S1": "left", "S2": "right", "S3": "far"}
-    published: ClassVar[Mapping[str, Published]] = EXPERIMENTS
-    publisher = "the paper"
-    solved = ("reached", "Objects reached")
+    models = TabletopModels
+    pictures = TabletopPictures
+    files = RobotFiles
     control = (
         *named("dx", "dy", unit="m", low=-2, high=2),
         Field("dθ", "rad", -torch.pi, torch.pi, "angle"),
@@ -116,7 +243,7 @@ class Tabletop(Domain[Scenarios]):
         """A tabletop; by default with the robot of the settings, which can raise a RobotError."""
         super().__init__(settings)
         self.published_data = published_data
-        self.robot = robot or load_robot(*self._files())
+        self.robot = robot or load_robot(*self.robot_files())
         if self.settings.world == "mujoco":
             mujoco()  # which is said before anything long begins if it is missing
         self.physics = physics or Physics(self.robot)
@@ -126,7 +253,7 @@ class Tabletop(Domain[Scenarios]):
         self.percept = percept_fields(PERCEPTS[tabletop] + BOX * obstacles)
 
     def for_run(self, kind: str, method: str) -> "Tabletop":
-        """See `Domain.for_run`: the values of settings that are "auto"."""
+        """See `Adaptable.for_run`: the values of settings that are "auto"."""
         s = self.settings
         tabletop = usual_percept(kind) if s.percept == "auto" else s.percept
         networks = "percept" if method == "paper" else "edge"
@@ -136,13 +263,13 @@ class Tabletop(Domain[Scenarios]):
         return Tabletop(self.settings, self.robot, *given)
 
     def in_world(self, name: str) -> "Tabletop":
-        """See `Domain.in_world`."""
+        """See `Adaptable.in_world`."""
         if name not in WORLDS:
             raise SettingsError(f"world is {name!r:.40}; use one of {', '.join(WORLDS)}")
         return self._under(world=name)
 
     def other_measures(self) -> Mapping[str, "Tabletop"]:
-        """See `Domain.other_measures`: in physics, with touches allowed or failing."""
+        """See `Adaptable.other_measures`: in physics, with touches allowed or failing."""
         if self.settings.world != "mujoco":
             return {}
         if self.settings.touch == "fails":
@@ -150,7 +277,7 @@ class Tabletop(Domain[Scenarios]):
         return {"lifted without a touch of table or robot": self._under(touch="fails")}
 
     def variants(self, kind: str) -> Iterable["Tabletop"]:
-        """See `Domain.variants`.
+        """See `Adaptable.variants`.
 
         Networks in the edge's frame have the same size for all percepts; for these, the percept is
         that of a run with such scenarios.
@@ -167,6 +294,10 @@ class Tabletop(Domain[Scenarios]):
         """The same tabletop with other physics, such as observed physics."""
         given = self.tabletop, self.obstacles, self.networks, physics
         return Tabletop(self.settings, self.robot, *given)
+
+    def world_in(self, physics: Physics, scenarios: Scenarios) -> ObservedTabletop:
+        """The world of some scenarios with other physics."""
+        return self.watched(physics).world(scenarios)
 
     def _under(self, **settings: Any) -> "Tabletop":
         given = self.tabletop, self.obstacles, self.networks, self.physics
@@ -200,123 +331,12 @@ class Tabletop(Domain[Scenarios]):
             return edge_way_actions(len(self.percept), kept)
         return ACTIONS[self.networks](len(self.percept))
 
-    # Models
-
-    def explore(self, about: Exploration) -> Dataset:
-        """See `Domain.explore`; the paper's method gets as many random data as it had."""
-        if not self.published_data:
-            return super().explore(about)
-        about.purse.pay(EXPLORATION, Asked(motions=TRANSITIONS, tests=LABELS))
-        return collect(self._scenes(about.kind), TRANSITIONS, LABELS, about.generator)
-
-    def worth_trying(self, percept: Tensor, count: int, generator: Generator) -> Tensor:
-        """See `Domain.worth_trying`: most motions end near the object, in any direction."""
-        return motions_to_try(percept, count, generator)
-
-    def worth_testing(self, percept: Tensor) -> Tensor:
-        """See `Domain.worth_testing`: where the object may be within reach."""
-        return parts_of(percept).object.norm(dim=-1) < WITHIN
-
-    def _scenes(self, kind: str) -> Scenes:
-        return Scenes(self.world, kind, THRIFT[self.settings.world])
-
-    def possible(self, percept: Tensor, control: Tensor) -> Tensor:
-        """See `Domain.possible`."""
-        return self._clear_motion(percept.device)(percept, control)
-
-    def noisy(self, percept: Tensor) -> Tensor:
-        """See `Domain.noisy`: boxes of absent obstacles have no noise."""
-        there = parts_of(percept).present.repeat_interleave(BOX, -1)
-        size = percept.shape[-1] - there.shape[-1]
-        return torch.cat([torch.ones_like(percept[..., :size]), there.to(percept)], -1)
-
-    def unfitted(self) -> Mapping[str, Callable[[], nn.Module]]:
-        """See `Domain.unfitted`."""
-        return {kind.__name__: kind for kind in (TableTransitionModel, GraspClassifier)}
-
-    def fit_transition(self, data: Dataset, seed: int) -> tuple[TransitionModel, TransitionReport]:
-        """See `Domain.fit_transition`."""
-        rows = data.percept, data.control, data.next_percept
-        return fit_transition_model(TableTransitionModel(), *rows, seed=seed)
-
-    def fit_success(self, data: Dataset, seed: int) -> tuple[SuccessClassifier, SuccessReport]:
-        """See `Domain.fit_success`."""
-        rows = data.tested, data.succeeded
-        return fit_success_classifier(GraspClassifier(), *rows, seed=seed, C=COSTS, gamma=GAMMAS)
-
-    def imagine(
-        self,
-        knowledge: Knowledge,
-        percepts: Tensor,
-        replicas: int,
-        generator: Generator,
-        device: torch.device | str = "cpu",
-    ) -> ModelEnvironment:
-        """See `Domain.imagine`; these models are compiled."""
-        return imagine(
-            knowledge, percepts, replicas, generator, device,
-            possible=self._clear_motion(device), noisy=self.noisy, compiled=compiled_models,
-        )  # fmt: skip
-
-    def _clear_motion(self, device: torch.device | str) -> ClearMotion:
-        """MoveBase's own check with a margin, so that the world's noise does not block a motion."""
-        footprint = torch.tensor(self.robot.description.footprint, device=device)
-        more = footprint.new_tensor([-MARGIN, MARGIN, -MARGIN, MARGIN])
-        return ClearMotion(footprint + more)
-
-    # Files and pictures
-
-    def _files(self) -> tuple[Path, Path]:
+    def robot_files(self) -> tuple[Path, Path]:
+        """The URDF and the description that the settings name."""
         s = self.settings
         given = Path(s.urdf) if s.urdf else None
         beside = s.urdf and s.robot == TabletopSettings.robot
         return robot_files(given, None if beside else Path(s.robot))
-
-    def write(self, folder: Path) -> None:
-        """See `Domain.write`: the URDF, with shapes in place of meshes, and its description."""
-        (folder / "robot").mkdir()
-        urdf, words = (read_bytes(source, MAX_BYTES, RobotError) for source in self._files())
-        urdf = self.robot.urdf.xml if self.robot.meshes else urdf
-        for data, target in zip((urdf, words), _stored(folder), strict=True):
-            write_bytes(target, data)
-
-    @classmethod
-    def read(cls, settings: Any, folder: Path) -> Self:
-        """See `Domain.read`."""
-        return cls(settings, load_robot(*_stored(folder)))
-
-    def stored_options(self, folder: Path) -> Mapping[str, str]:
-        """See `Domain.stored_options`: a robot that is not built in is read from the run."""
-        pairs = zip(_stored(folder), robot_files(), strict=True)
-        if all(own.read_bytes() == built_in.read_bytes() for own, built_in in pairs):
-            return {"urdf": "", "robot": TabletopSettings.robot}
-        urdf, robot = _stored(place_of(folder))
-        return {"urdf": urdf.as_posix(), "robot": robot.as_posix()}
-
-    def about(self) -> list[tuple[str, str]]:
-        """See `Domain.about`."""
-        s = self.settings
-        world = f"{s.world}, a touch {s.touch}" if s.world == "mujoco" else s.world
-        return [("Robot", self.robot.description.name), ("World", world)]
-
-    def draw_scenarios(
-        self, scenarios: Scenarios, succeeded: Tensor, targets: Tensor, title: str = ""
-    ) -> "Figure":
-        """See `Domain.draw_scenarios`: the scenes from above."""
-        footprint = self.robot.description.footprint
-        return draw_placements(scenarios, succeeded, targets, footprint=footprint, title=title)
-
-    def film(self, skill: "Skill", scenarios: Scenarios) -> bytes | None:
-        """See `Domain.film`: what MuJoCo's renderer sees of it in physics."""
-        from cgtorch.tabletop.physics.film import film_of  # which is about this class
-
-        if self.settings.world != "mujoco":
-            return None
-        return film_of(skill, self, scenarios, "webp")[1]
-
-    def draw_stage(self, stage: str) -> str:
-        """See `Domain.draw_stage`: the paper's drawing of an experiment."""
-        return stage_drawing(self.stages[stage], self.robot.description.footprint)
 
 
 def _stored(folder: Path) -> tuple[Path, Path]:

@@ -5,7 +5,7 @@ from importlib.resources import files
 
 import torch
 
-from cgtorch.domains.domain import Published
+from cgtorch.domains.pictures import Published
 from cgtorch.tabletop.world import stage_scenarios
 
 _FILES = files("cgtorch.tabletop")

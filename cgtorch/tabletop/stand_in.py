@@ -22,7 +22,7 @@ import click
 import torch
 from torch import Generator
 
-from cgtorch.domains.robot_driver import RobotDriver
+from cgtorch.domains.robot import RobotDriver
 from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import JsonLines

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Generator
 
-from cgtorch.domains.domain import Domain
+from cgtorch.domains.domain import Domain, rewarded
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.search import derived_generator
 from cgtorch.graphs import Skill, merged
@@ -23,10 +23,17 @@ from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.goal import DECISIVE_EPISODES, EPISODES, Goal, holds, mean_holds, worth_deciding
 from cgtorch.runs.storage import load_progress, load_result
 from cgtorch.runs.stored_run import StoredRun, round_name
-from cgtorch.training.context import Training, initial_progress, recall_spent, spent_of
+from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, joined, try_on
-from cgtorch.training.stages import stage_generator
-from cgtorch.training.train import Made, NotImprovedError, Tally, counts, make_stage
+from cgtorch.training.start import initial_progress, recall_spent, spent_of
+from cgtorch.training.train import (
+    Made,
+    NotImprovedError,
+    Tally,
+    counts,
+    make_stage,
+    stage_generator,
+)
 
 TESTS = 41  # the generator of tests, derived like an island's
 BATCH = 400  # scenarios tried before the next look at how many were missed
@@ -100,7 +107,7 @@ def _round(
 ) -> Made:
     """Make one round and store it in the run, after `decisions` decisive tests."""
     run, name = training.run, round_name(number)
-    if run.domain.rewarded and not len(progress.missed):  # as at the very beginning
+    if rewarded(run.domain) and not len(progress.missed):  # as at the very beginning
         progress = _with(progress, act(run, progress.skill, EPISODES, _tests_generator(run, name)))
     missed, names = progress.missed, tuple(map(round_name, range(1, number + 1)))
     sizes = len(progress.solved), len(missed)
@@ -108,7 +115,7 @@ def _round(
 
     def test(after: Progress[Any], tally: Tally) -> Made | None:
         fittest, unsolved = tally.champion, tally.accepted is None and not len(after.solved)
-        if run.domain.rewarded and unsolved and fittest is not None and tally.best >= WORTHLESS:
+        if rewarded(run.domain) and unsolved and fittest is not None and tally.best >= WORTHLESS:
             # Eq. 1 has nothing to say before anything is solved; the next round goes on from here.
             graph, transitions = merged(fittest.graphs), run.settings.max_transitions
             best = Skill(name, graph, run.actions, transitions)
@@ -135,7 +142,7 @@ def _round(
             "fresh": tests[0] if tests else None,
             "overall": tests[-1] if tests else None,
             "decisive": tests[1] if len(tests) > 1 else None,
-            "mean_holds": met if run.domain.rewarded else None,
+            "mean_holds": met if rewarded(run.domain) else None,
             "in_a_row": tally.in_a_row,
             "practice": training.practice(name),
         }
@@ -163,7 +170,7 @@ def _tested(
     """
     domain, scores = training.run.domain, list[Score]()
     skill = name if progress.skill is None else progress.skill.name
-    if domain.rewarded:  # what counts is the mean of the returns
+    if rewarded(domain):  # what counts is the mean of the returns
         target, sizes = float(domain.target_return), (EPISODES, DECISIVE_EPISODES)
         enough = EPISODES + 1, DECISIVE_EPISODES + 1
     else:
@@ -176,9 +183,9 @@ def _tested(
         progress = _with(progress, score)
         scores.append(score)
         by_mean = mean is not None and mean >= target
-        if not (by_mean if domain.rewarded else worth_deciding(goal, *counted)):
+        if not (by_mean if rewarded(domain) else worth_deciding(goal, *counted)):
             break
-    if domain.rewarded:
+    if rewarded(domain):
         returns = score.returns
         met = returns is not None and mean_holds(returns.tolist(), target, decisions + 1)
     else:

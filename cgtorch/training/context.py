@@ -1,19 +1,15 @@
 """The inputs of a training, and the state before its first stage."""
 
-import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, field, replace
-from functools import partial, reduce
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import torch
-from torch import Generator
 
-from cgtorch.domains.exploration import EXPLORATION, Exploration
-from cgtorch.domains.knowledge import Knowledge, fit_models, learn
+from cgtorch.domains.domain import noisy, rewarded
+from cgtorch.domains.knowledge import summary_of
 from cgtorch.domains.live import OnRobot
-from cgtorch.domains.summary import summary_of
 from cgtorch.evolution import (
     COST,
     REWARDS,
@@ -25,23 +21,17 @@ from cgtorch.evolution import (
     lexicase,
     tournament,
 )
-from cgtorch.ground import distributed as ranks
-from cgtorch.ground.asked import Asked, Purse
-from cgtorch.ground.environment import Dataset, Environment, Live
-from cgtorch.ground.files import whole_folder, write_json
+from cgtorch.ground.asked import Purse
+from cgtorch.ground.environment import Environment
 from cgtorch.improvement.checkpoint import Journal
-from cgtorch.improvement.events import ModelsFitted, Watch, WorldAsked
-from cgtorch.improvement.setup import Budget, Progress, Setup
+from cgtorch.improvement.events import Watch
+from cgtorch.improvement.setup import Budget, Setup
 from cgtorch.runs.journal import SECONDS
-from cgtorch.runs.storage import load_progress, read_asked, save_progress
 from cgtorch.runs.stored_run import StoredRun
-from cgtorch.simulation import Recording
-from cgtorch.training.given_data import given_data, known_at_last
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
 """Makes a context that shows a message during a long step."""
 
-LANES = 2  # robots that explore side by side, where there can be several
 
 SEARCHES = 2
 """Evolutions of a specialist in the models, which take a second where trials in the world of what
@@ -87,17 +77,17 @@ class Training:
 
     def _tests_by_rounds(self, name: str) -> bool:
         """Whether fresh episodes are tried by rounds themselves, as with rewards."""
-        return self.run.domain.rewarded and name not in self.run.domain.stages
+        return rewarded(self.run.domain) and name not in self.run.domain.stages
 
     def setup(self, name: str, journal: Journal | None = None) -> Setup[Any]:
         """The run's settings in the form that improvement needs for a stage or round."""
         run, s = self.run, self.run.settings
         domain, specialists = run.domain, run.domain.specialists
-        replicas = 2 if run.learns or domain.noisy_world else 1
+        replicas = 2 if run.learns or noisy(domain) else 1
         budget = Budget(s.generations, stall=specialists.stall)
         if not run.repeats:  # where an action costs more than a generation
             budget = replace(budget, patience=SETTLED)
-        if domain.rewarded:
+        if rewarded(domain):
             # A return has no best value, so what solves all is improved for a little while.
             aim = domain.target_return
             budget = replace(budget, enough=float("inf"), satisfied=aim, patience=5)
@@ -105,7 +95,7 @@ class Training:
             actions=run.actions,
             world_of=domain.world,
             imagine=self._imagine,
-            learn=partial(learn, domain) if run.learns else None,
+            learn=run.models.learn if run.learns else None,
             describe=summary_of,
             evolution=evolution_settings(run),
             budget=budget,
@@ -116,8 +106,8 @@ class Training:
             practice=self.practice(name),
             looks=0 if self._tests_by_rounds(name) else LOOKS,
             repeats=run.repeats,
-            noisy=domain.noisy_world,
-            live=domain.live,
+            noisy=noisy(domain),
+            live=isinstance(domain, OnRobot),
             searches=self._searches(),
             attempts=self.attempts,
             max_transitions=s.max_transitions,
@@ -141,7 +131,7 @@ class Training:
     ) -> Environment:
         """The environment of an evolution: Γ and C, or the world itself with other noise."""
         if self.run.learns:
-            return self.run.domain.imagine(knowledge, percepts, replicas, *how)
+            return self.run.models.imagine(knowledge, percepts, replicas, *how)
         copies = [scenarios.with_noise(copy) for copy in range(replicas)]
         rows = torch.arange(replicas * len(scenarios)).view(replicas, -1).T.flatten()
         return self.run.domain.world(copies[0].joined(*copies[1:])[rows])
@@ -149,17 +139,17 @@ class Training:
 
 def evolution_settings(run: StoredRun) -> EvolutionSettings:
     """The settings of evolutions: as published for the paper's method, else the defaults."""
-    s, rewarded = run.settings, run.domain.rewarded
+    s, returns = run.settings, rewarded(run.domain)
     # Of continuous scores lexicase selection would leave one to three distinct parents.
-    by_rank = s.method == "paper" or rewarded
+    by_rank = s.method == "paper" or returns
     common = EvolutionSettings(
         population=s.population,
         selection=tournament(s.tournament) if by_rank else lexicase,
-        fitness=_fitness(s.method, rewarded),
+        fitness=_fitness(s.method, returns),
         islands=s.islands,
         migration=s.migration,
     )
-    if not rewarded or s.method == "paper" or s.islands > 1:
+    if not returns or s.method == "paper" or s.islands > 1:
         return common
     return replace(
         common,
@@ -169,98 +159,7 @@ def evolution_settings(run: StoredRun) -> EvolutionSettings:
     )
 
 
-def _fitness(method: str, rewarded: bool) -> Fitness:
-    if rewarded:
+def _fitness(method: str, returns: bool) -> Fitness:
+    if returns:
         return episode_return
     return chance_of_success if method == "paper" else ChanceOfSuccess(COST)
-
-
-def initial_progress(training: Training) -> Progress[Any]:
-    """Data, labels, Γ and C before the first stage (section V), made once and stored in the run.
-
-    A run that evolves in the world itself has none. Work is done in parallel if compiled code may
-    use threads.
-    """
-    run, working = training.run, training.working
-    nothing = run.like()
-    if not run.learns:
-        return Progress(None, nothing, nothing, None)
-    start = run.folder / "start"
-    if start.is_dir():
-        return load_progress(run, start)
-    settings = run.settings
-    generator = Generator().manual_seed(settings.seed)
-    before = training.purse.total
-    dataset = _first_data(training, generator)
-    asked = training.purse.total - before
-    if asked != Asked():
-        training.watch(WorldAsked("start", EXPLORATION, asked))
-    began = time.perf_counter()
-    with working("fitting Γ and C"):
-        knowledge = fit_models(run.domain, dataset, settings.seed)
-    seconds = time.perf_counter() - began
-    training.watch(ModelsFitted("start", summary_of(knowledge), seconds))
-    progress = Progress(None, nothing, nothing, knowledge)
-    if ranks.first():
-        with whole_folder(start) as folder:
-            save_progress(folder, progress, settings.seed)
-            write_json(folder / "result.json", {"asked": spent_of(training.purse)})
-    return progress
-
-
-def _first_data(training: Training, generator: Generator) -> Dataset:
-    """The data for the first Γ and C: from the run's files, from its world, or both."""
-    run = training.run
-    if run.settings.data and run.settings.transitions == 0:
-        with training.working("reading the data"):
-            return given_data(run)
-    with training.working("exploring: motions that teach the models most"):
-        given = given_data(run) if run.settings.data else None
-        parts = [part for part in (given, _explored(training)) if part is not None]
-        known = reduce(Dataset.extended, parts) if parts else None
-        found = run.domain.explore(_exploration(training, generator, known))
-    return known_at_last(known, found)
-
-
-def _exploration(training: Training, generator: Generator, known: Dataset | None) -> Exploration:
-    """What an exploration works with; all that it asks is counted."""
-    run, domain = training.run, training.run.domain
-
-    def world(kind: str, count: int) -> Environment:
-        made = domain.world(domain.draw(kind, count, generator))
-        if isinstance(made, Live):
-            made.told(EXPLORATION, "start")
-        return Recording(made, training.purse, EXPLORATION)
-
-    def fit(data: Dataset) -> Knowledge:
-        return fit_models(domain, data, run.settings.seed)
-
-    lanes = LANES if run.repeats else 1
-    about = run.settings.transitions, lanes, generator, training.purse
-    return Exploration(run.kind, world, fit, *about, known=known)
-
-
-def _explored(training: Training) -> Dataset | None:
-    """The data of a robot's exploration that was interrupted, which are paid for."""
-    domain = training.run.domain
-    if not isinstance(domain, OnRobot):
-        return None
-    data, asked = domain.actor.explored(len(domain.percept), len(domain.control))
-    training.purse.add(EXPLORATION, asked)
-    return data if asked.actions else None
-
-
-def spent_of(purse: Purse) -> dict[str, dict[str, int]]:
-    """What was asked, by phase, as plain data."""
-    return {phase: asdict(asked) for phase, asked in purse.spent.items()}
-
-
-def recall_spent(training: Training) -> None:
-    """Fill the purse with what the finished parts of the run have asked."""
-    run = training.run
-    last = (run.folder / name / "result.json" for name in (*reversed(run.stages), "start"))
-    known = next((path for path in last if path.is_file()), None)
-    training.purse.spent.clear()
-    if known is not None:
-        for phase, asked in read_asked(known).items():
-            training.purse.add(phase, Asked(**asked))

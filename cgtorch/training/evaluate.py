@@ -9,11 +9,13 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.knowledge import Knowledge
-from cgtorch.domains.robust_success import robust_success
+from cgtorch.domains.models import Models
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import try_skill
+from cgtorch.simulation import rollout
 
+REPLICAS = 8  # of a scenario in the models, each with other errors
 PART = 250  # scenarios that are tried at once, between two signs of progress
 
 
@@ -97,9 +99,9 @@ def evaluate_skill(
 
 
 def robust_successes(
-    score: Score, skill: Skill, knowledge: Knowledge, domain: Domain[Any], seed: int
+    score: Score, skill: Skill, knowledge: Knowledge, models: Models[Any], seed: int
 ) -> Score | None:
-    """The score where the models predict robust success (`cgtorch.domains.robust_success`).
+    """The score where the models predict robust success (`robust_success`).
 
     None if the models were learned from percepts of another length.
     """
@@ -107,7 +109,7 @@ def robust_successes(
     if percepts.shape[1] != knowledge.dataset.percept.shape[1]:
         return None
     generator = Generator().manual_seed(seed)
-    return score.of(robust_success(domain, skill, knowledge, percepts, generator))
+    return score.of(robust_success(models, skill, knowledge, percepts, generator))
 
 
 def check_percepts(skill: Skill, size: int, where: str) -> None:
@@ -122,3 +124,20 @@ def check_percepts(skill: Skill, size: int, where: str) -> None:
             )
     for inner in skill.sub_skills.values():
         check_percepts(inner, size, where)
+
+
+def robust_success(
+    models: Models[Any],
+    skill: Skill,
+    knowledge: Knowledge,
+    percepts: Tensor,
+    generator: Generator,
+    replicas: int = REPLICAS,
+) -> Tensor:
+    """(B,) bool, whether a skill succeeds from percepts (B, D) under all of several new errors."""
+    environment = models.imagine(knowledge, percepts, replicas, generator)
+    with torch.no_grad():
+        runs = rollout(
+            skill.graph, skill.actions, environment, max_transitions=skill.max_transitions
+        )
+    return runs.succeeded.view(len(percepts), replicas).all(1)

@@ -23,7 +23,7 @@ from cgtorch.training.session import TrainingRequest, UserWatch, begun, carry_ou
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
-    from cgtorch.domains.robot_driver import RobotDriver
+    from cgtorch.domains.robot import RobotDriver
     from cgtorch.graphs import Action
 
 

@@ -46,9 +46,8 @@ from cgtorch.runs.stored_run import (
 from cgtorch.simulation.compiled_actions import WITH_MEMORY
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training
-from cgtorch.training.given_data import given_data
-from cgtorch.training.stages import stages_to_make
-from cgtorch.training.train import finished_generations, train
+from cgtorch.training.start import given_data
+from cgtorch.training.train import finished_generations, stages_to_make, train
 
 WORTH_A_GPU = 4000
 """Population size from which a GPU is faster than the CPU (docs/decisions/engine.md)."""
@@ -338,5 +337,5 @@ def _board(run: StoredRun, settings: dict[str, Any]) -> AbstractContextManager[W
         models + finished_generations(run) + len(run.stages) + recalled,
         recalled=recalled,
         actions=run.actions,
-        draw_scenarios=run.domain.draw_scenarios,
+        draw_scenarios=run.pictures.scenarios,
     )

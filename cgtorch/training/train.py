@@ -9,10 +9,11 @@ from typing import Any, TypeAlias
 import torch
 from torch import Generator
 
+from cgtorch.domains.domain import Domain
 from cgtorch.evolution import Generation, Population
 from cgtorch.graphs import Skill
 from cgtorch.ground import distributed as ranks
-from cgtorch.ground.errors import CgtorchError
+from cgtorch.ground.errors import CgtorchError, RunError, SettingsError
 from cgtorch.ground.files import whole_folder, write_json
 from cgtorch.improvement.checkpoint import Found
 from cgtorch.improvement.events import (
@@ -29,10 +30,10 @@ from cgtorch.improvement.setup import Progress
 from cgtorch.runs.journal import forget, journal_of
 from cgtorch.runs.ledger import enter, entry_of
 from cgtorch.runs.storage import load_progress, load_result, save_progress
-from cgtorch.runs.stored_run import StoredRun
-from cgtorch.training.context import Training, initial_progress, recall_spent, spent_of
+from cgtorch.runs.stored_run import AUTO, StoredRun
+from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, evaluate_skill
-from cgtorch.training.stages import stage_generator, stages_to_make
+from cgtorch.training.start import initial_progress, recall_spent, spent_of
 
 FRESH, OVERALL, FRESH_SEED = 40, 40, 7_000_001
 
@@ -155,7 +156,7 @@ def _stage(
         first = again or run.settings.method == "paper"
         own = torch.arange(len(targets)) < len(targets) - old
         own = own if first else own.flip(0)
-        usual, seed = run.domain.usual_kind, FRESH_SEED + run.settings.seed
+        usual, seed = run.domain.kinds[0], FRESH_SEED + run.settings.seed
         result = {
             "stage": name,
             "scenarios": kind,
@@ -165,7 +166,7 @@ def _stage(
             "earlier_failures_succeeded": int(targets[~own].sum()),
             **tally.result(before, skill, accepted.seconds, spent_of(training.purse)),
         }
-        if not run.domain.live:  # only a report wants these
+        if not run.settings.driver:  # only a report wants these
             with training.working(f"testing {name} on fresh scenarios"):
                 fresh = evaluate_skill(skill, run.domain, kind, FRESH, seed)
                 overall = evaluate_skill(skill, run.domain, usual, OVERALL, seed)
@@ -243,3 +244,38 @@ def counts(kind: str, score: Score) -> dict[str, Any]:
     """A score in the form of result.json."""
     about = {"scenarios": kind, "tried": score.tried, "succeeded": score.successes}
     return about if score.returns is None else {**about, "mean_return": score.mean_return}
+
+
+_SEED_STRIDE = 1_000_003
+_AUTO_SEEDS = 500_000  # far from seeds that one would evaluate with
+
+
+def stages_to_make(run: StoredRun, stage: str) -> tuple[str, ...]:
+    """All stages up to `stage`, which the run must have or still be able to make.
+
+    SettingsError if there is no such stage, RunError if the run has continued in rounds.
+    """
+    every, usual = tuple(run.domain.stages), run.domain.kinds[0]
+    if stage not in every:
+        raise SettingsError(f"unknown stage {stage!r}; use one of {', '.join((*every, AUTO))}")
+    if run.kind != usual:
+        raise SettingsError(
+            f"stages {every[0]} to {every[-1]} use {usual} scenarios, not {run.kind}; use "
+            f"--stage {AUTO}"
+        )
+    names = every[: every.index(stage) + 1]
+    if run.rounds and not set(names) <= set(run.stages):
+        raise RunError(
+            f"run {str(run.folder)!r} has continued with --stage {AUTO} and cannot make a single "
+            f"stage any more; continue with --stage {AUTO} or choose another --run-dir"
+        )
+    return names
+
+
+def stage_generator(domain: Domain[Any], seed: int, stage: str) -> Generator:
+    """The generator of one stage or round; it does not depend on the results of earlier ones."""
+    if stage in domain.stages:
+        offset = list(domain.stages).index(stage) + 1
+    else:
+        offset = _AUTO_SEEDS + int(stage.removeprefix(f"{AUTO}-"))
+    return Generator().manual_seed(seed * _SEED_STRIDE + offset)

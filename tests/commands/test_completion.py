@@ -10,7 +10,7 @@ import pytest
 from own_domains import OWN_CART
 from test_all_commands import COMMANDS
 
-from cgtorch.commands.completion import SCENARIOS, SHELLS, STAGES, TRAINED, script
+from cgtorch.commands.completion import SCENARIOS, SHELLS, STAGES, script
 from cgtorch.runs.stored_run import AUTO
 from cgtorch.tabletop.domain import Tabletop
 
@@ -70,7 +70,7 @@ printf '%s\n' "${COMPREPLY[@]}"
         ("cgtorch-train --domain t", ["tabletop"]),
         ("cgtorch-train --domain tabletop --stage S", ["S0", "S1", "S2", "S3"]),
         ("cgtorch-train --domain tabletop --percept ", ["auto", "box", "yaw"]),
-        ("cgtorch-train --scenarios ", list(TRAINED)),
+        ("cgtorch-train --scenarios ", list(SCENARIOS)),
         ("cgtorch-train --resume runs/one --scenarios gen", ["general", "general-clutter"]),
         ("cgtorch-train --domain own_cart:Cart --stage ", ["up", "down", "auto"]),
         ("cgtorch-train --domain own_cart:Cart --scenarios ", ["calm", "windy"]),
@@ -125,5 +125,4 @@ def test_declared_actions(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_words_are_those_that_the_library_knows() -> None:
     assert set(SCENARIOS) == set(Tabletop.kinds)
     assert len(SCENARIOS) == len(Tabletop.kinds)
-    assert Tabletop.trained_kinds == TRAINED
     assert (*Tabletop.stages, AUTO) == STAGES

@@ -42,8 +42,8 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
     run, skill = last_skill(trained.folder / place)
     assert skill.name == name
     score = evaluate_skill(skill, run.domain, "near", 12, 4)
-    knowledge = load_knowledge(run.folder / name, run.domain.unfitted())
-    kept = robust_successes(score, skill, knowledge, run.domain, 4)
+    knowledge = load_knowledge(run.folder / name, run.models.unfitted())
+    kept = robust_successes(score, skill, knowledge, run.models, 4)
     again = read_entry(run.folder, name, run.actions, run.like()).other_noise
     assert kept is not None
     assert again is not None

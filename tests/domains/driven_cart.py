@@ -12,7 +12,7 @@ from support import seeded
 
 from cgtorch.domains import Field
 from cgtorch.domains.live import OnRobot, domain_of_driver, on_robot
-from cgtorch.domains.robot_driver import RobotDriver
+from cgtorch.domains.robot import RobotDriver
 from cgtorch.graphs import Graphs, Skill, from_networkx
 from cgtorch.ground.environment import start_lanes
 from cgtorch.ground.files import JsonLines

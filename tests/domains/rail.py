@@ -8,6 +8,7 @@ from torch import Generator, Tensor
 
 from cgtorch.domains import Domain, DomainSettings, Field, ScenarioBatch, World, option
 from cgtorch.domains.exploration import random_controls
+from cgtorch.domains.models import Models
 from cgtorch.ground.environment import Dataset, start_lanes
 
 END = 3.0  # m from the middle of the rail to either end
@@ -83,14 +84,20 @@ class Cart(Domain[Carts]):
         return Rail(scenarios)
 
 
-class SeeingCart(Cart):
-    """One that says what matters: how far a push leads, and how far the middle is."""
+class SeeingModels(Models[Cart]):
+    """What matters: how far a push leads, and how far the middle is."""
 
     def transition_features(self, percept: Tensor, control: Tensor) -> Tensor:
         return percept[..., GEAR:] * control[..., :1].clamp(-1, 1)
 
     def success_features(self, percept: Tensor) -> Tensor:
         return percept[..., :1].abs()
+
+
+class SeeingCart(Cart):
+    """One that says what matters."""
+
+    models = SeeingModels
 
 
 def driven(transitions: int, tests: int, seed: int) -> Dataset:

@@ -15,6 +15,7 @@ from support import seeded
 from torch import Tensor
 
 from cgtorch.domains import Field
+from cgtorch.domains import domain as domains
 from cgtorch.domains.check import check_domain
 from cgtorch.ground.environment import Environment, Lanes, Rewarded, ScenarioBatch
 from cgtorch.ground.errors import DomainError, WorldError
@@ -69,10 +70,17 @@ def test_as_many_fields_as_the_world_has_numbers(name: str) -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["kinds", "trained_kinds"])
 @pytest.mark.parametrize("bad", ["any", ["any"], ("any", 1), None])
-def test_kinds_are_names_in_a_tuple(name: str, bad: object) -> None:
-    assert refused(cart_with(**{name: bad})) == f"Own.{name} is {bad!r}; give names in a tuple"
+def test_kinds_are_names_in_a_tuple(bad: object) -> None:
+    assert refused(cart_with(kinds=bad)) == f"Own.kinds is {bad!r}; give names in a tuple"
+
+
+@pytest.mark.parametrize("name", ["models", "pictures", "files"])
+def test_parts_are_classes_of_their_kind(name: str) -> None:
+    said = f"give a subclass of cgtorch.{name.title()}"
+    assert refused(cart_with(**{name: "none"})) == f"Own.{name} is 'none'; {said}"
+    assert said in refused(cart_with(**{name: int}))
+    check_domain(cart_with(models=None), "any")
 
 
 def test_there_is_a_kind() -> None:
@@ -89,9 +97,6 @@ def test_stages_are_about_kinds_that_there_are() -> None:
 
 def test_a_run_is_about_a_kind_that_can_be_trained() -> None:
     assert refused(Cart(), "storm") == "Cart has no scenarios 'storm'; use one of any"
-    some = cart_with(kinds=("any", "calm"), trained_kinds=("calm",))
-    check_domain(some, "calm")
-    assert refused(some) == "Own has no scenarios 'any'; use one of calm"
 
 
 class Alike(ScenarioBatch):
@@ -286,7 +291,7 @@ def returns(self: Environment, lanes: Lanes) -> Tensor:
 def test_rewards_are_tried() -> None:
     rewarded = rail_with(over=over, returns=returns)
     assert isinstance(rewarded.world(rewarded.draw("any", 1, seeded(0))), Rewarded)
-    assert rewarded.rewarded
+    assert domains.rewarded(rewarded)
     assert "Test" not in rewarded.actions().names
     check_domain(rewarded, "any")
     bad = rail_with(over=lambda self, lanes: lanes.step, returns=returns)
@@ -320,5 +325,5 @@ def test_noise_is_known_by_its_method() -> None:
     def draw(self: Cart, kind: str, count: int, generator: torch.Generator) -> Gusts:
         return Gusts(*vars(Cart.draw(self, kind, count, generator)).values())
 
-    assert not Cart().noisy_world
-    assert cart_with(draw=draw).noisy_world
+    assert not domains.noisy(Cart())
+    assert domains.noisy(cart_with(draw=draw))

@@ -12,7 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rail import END, LAMP, PLACE, Cart, Rail, SeeingCart, driven
-from support import seeded
+from support import models_of, seeded
 from torch import Generator, Tensor
 
 from cgtorch.domains import Field
@@ -31,7 +31,8 @@ from cgtorch.domains.exploration import (
     _chosen,
     random_controls,
 )
-from cgtorch.domains.knowledge import Knowledge, fit_models
+from cgtorch.domains.knowledge import Knowledge
+from cgtorch.domains.models import Models
 from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
 from cgtorch.ground.environment import Dataset, Environment, Lanes
 from cgtorch.ground.errors import DataError, DomainError
@@ -112,7 +113,7 @@ def about(domain: Cart, seed: int = 0, log: Log | None = None, **given_: Any) ->
 
 def explored(domain: Cart, seed: int = 0, **given_: Any) -> tuple[Dataset, Log]:
     log = Log()
-    return domain.explore(about(domain, seed, log, **given_)), log
+    return models_of(domain).explore(about(domain, seed, log, **given_)), log
 
 
 @given(st.integers(0, 200), st.integers(0, 2**31))
@@ -122,7 +123,7 @@ def test_controls_are_within_the_bounds_of_their_fields(number: int, seed: int) 
     low, high = (torch.tensor([getattr(f, b) for f in Cart.control]) for b in ("low", "high"))
     assert ((found >= low) & (found <= high)).all()
     assert torch.equal(found[:, 2], found[:, 2].round())
-    assert torch.equal(Cart().worth_trying(torch.zeros(4), number, seeded(seed)), found)
+    assert torch.equal(models_of(Cart()).worth_trying(torch.zeros(4), number, seeded(seed)), found)
 
 
 def test_controls_are_uniform() -> None:
@@ -154,10 +155,10 @@ def decaying(start: float = 100.0, by: float = 0.5) -> Callable[[Dataset], Any]:
 def test_data_are_true_and_paid_and_no_more_than_one_part_too_many(
     most: int, lanes: int, seed: int, live: bool
 ) -> None:
-    domain, purse, log = cart_with(live=live), Purse(), Log()
+    domain, purse, log = Cart(), Purse(), Log()
     known = driven(20, 30, seed)
     given_ = about(domain, seed, log, most=most, lanes=lanes, fit=decaying(), purse=purse)
-    data = domain.explore(replace(given_, known=known))
+    data = models_of(domain).explore(replace(given_, known=known, live=live))
     new = slice(20, None), slice(30, None)
     assert data.whole(4)
     for name, rows in vars(known).items():
@@ -268,7 +269,7 @@ def test_a_robot_that_never_moves_is_not_asked_for_ever() -> None:
     log = Log()
     domain = on_track({"step": stuck})
     with pytest.raises(DataError):
-        domain.explore(about(domain, log=log, most=30))
+        models_of(domain).explore(about(domain, log=log, most=30))
     assert log.motions <= 30 + 30 // 2 + 2
 
 
@@ -286,20 +287,21 @@ def test_controls_that_cannot_be_carried_out_tell_nothing() -> None:
 
 
 def test_what_a_domain_calls_worth_trying_and_testing_is_what_is_tried_and_tested() -> None:
-    def slow(self: Cart, percept: Tensor, number: int, generator: Generator) -> Tensor:
+    def slow(self: Models[Cart], percept: Tensor, number: int, generator: Generator) -> Tensor:
         assert percept.shape == (4,)
-        return 0.1 * random_controls(self.control, number, generator)
+        return 0.1 * random_controls(self.domain.control, number, generator)
 
-    def near(self: Cart, percept: Tensor) -> Tensor:
+    def near(self: Models[Cart], percept: Tensor) -> Tensor:
         return percept[:, PLACE].abs() < 1
 
-    domain = cart_with(worth_trying=slow, worth_testing=near)
+    domain = cart_with(models=type("Own", (Models,), {"worth_trying": slow, "worth_testing": near}))
     data, _ = explored(domain, most=60, fit=decaying())
     assert (data.control.abs() <= 0.1 * torch.pi).all()
     assert (data.tested[:, PLACE].abs() < 1).all()
     assert torch.equal(data.tested, data.next_percept[data.next_percept[:, PLACE].abs() < 1])
     assert 0 < len(data.tested) < len(data.percept)
-    nowhere = cart_with(worth_testing=lambda self, percept: torch.zeros(len(percept)) > 0)
+    none = {"worth_testing": lambda self, percept: torch.zeros(len(percept)) > 0}
+    nowhere = cart_with(models=type("Own", (Models,), none))
     with pytest.raises(DataError, match=r"in 0 of 0 tests of \d+ motions"):
         explored(nowhere, most=30)
 
@@ -307,8 +309,8 @@ def test_what_a_domain_calls_worth_trying_and_testing_is_what_is_tried_and_teste
 def chosen_plainly(domain: Cart, models: Any, percept: Tensor, generator: Generator) -> Tensor:
     """The control to try, one candidate at a time."""
     for _ in range(TRIES):
-        drawn = domain.worth_trying(percept, CANDIDATES, generator)
-        able = [u for u in drawn if bool(domain.possible(percept[None], u[None]))]
+        drawn = models_of(domain).worth_trying(percept, CANDIDATES, generator)
+        able = [u for u in drawn if bool(models_of(domain).possible(percept[None], u[None]))]
         if able:
             break
     else:
@@ -322,13 +324,19 @@ def chosen_plainly(domain: Cart, models: Any, percept: Tensor, generator: Genera
     return able[doubts.index(min(doubts))]
 
 
-class Careful(Cart):
+class CarefulModels(Models[Cart]):
     """It is pushed far only where its lamp looks ahead, and nowhere if it looks back."""
 
     def possible(self, percept: Tensor, control: Tensor) -> Tensor:
         ahead = percept[:, LAMP].cos() > 0
         back = percept[:, LAMP].cos() < -0.9
         return (ahead | (control[:, 0].abs() < 0.05)) & ~back
+
+
+class Careful(Cart):
+    """One with these models."""
+
+    models = CarefulModels
 
 
 def curious() -> Any:
@@ -342,7 +350,7 @@ def curious() -> Any:
 def test_most_motions_end_where_c_is_unsure(seed: int, fitted: bool, careful: bool) -> None:
     domain, models = Careful() if careful else Cart(), curious() if fitted else None
     percept = driven(1, 1, seed).percept[0]
-    found = _chosen(domain, models, percept, about(domain, seed))
+    found = _chosen(models_of(domain), models, percept, about(domain, seed))
     generator = seeded(seed)
     assert torch.equal(found, chosen_plainly(domain, models, percept, generator)[None])
 
@@ -350,7 +358,7 @@ def test_most_motions_end_where_c_is_unsure(seed: int, fitted: bool, careful: bo
 def test_some_motions_are_drawn_blindly() -> None:
     """Γ learns from them what C is not curious about."""
     percept, given_ = torch.tensor([0.0, 0, 0, 2]), about(Cart())
-    ends = torch.cat([_chosen(Cart(), curious(), percept, given_) for _ in range(400)])
+    ends = torch.cat([_chosen(models_of(Cart()), curious(), percept, given_) for _ in range(400)])
     doubt = (0.5 * ends[:, 0] - 1).abs()  # C is unsure at 1, of which a push reaches a half
     assert float((doubt < 0.55).float().mean()) == pytest.approx(BOLD, abs=0.08)
 
@@ -365,7 +373,7 @@ def test_the_generator_decides() -> None:
 def test_no_more_is_asked_than_the_budget_allows(limits: dict[str, float]) -> None:
     purse, log = Purse(limits), Log()
     with pytest.raises(BudgetSpentError):
-        Cart().explore(about(Cart(), log=log, purse=purse, fit=decaying()))
+        models_of(Cart()).explore(about(Cart(), log=log, purse=purse, fit=decaying()))
     ((name, limit),) = limits.items()
     assert getattr(purse.total, name) <= limit
     assert purse.total.motions == log.motions
@@ -378,7 +386,7 @@ def test_models_of_what_was_explored_are_of_use() -> None:
     right, off, motions = list[float](), list[float](), list[int]()
 
     def fit(data: Dataset) -> Knowledge:
-        return fit_models(domain, data, 0)
+        return models_of(domain).fit(data, 0)
 
     for seed in (1, 2, 3):
         data, log = explored(domain, seed, most=60, fit=fit)

@@ -14,8 +14,7 @@ from support import seeded
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.gymnasium import Gymnasium, _explored
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_vector import VectorSteps
-from cgtorch.domains.gymnasium_world import PlayedWorld
+from cgtorch.domains.gymnasium_world import PlayedWorld, VectorSteps
 from cgtorch.domains.registry import make_domain
 from cgtorch.evolution.population import random_population
 from cgtorch.ground.environment import Lanes, start_lanes
@@ -170,16 +169,16 @@ def test_a_number_that_random_episodes_do_not_change_is_not_scaled() -> None:
 def test_it_is_kept_with_a_run(tmp_path: Path) -> None:
     domain = make_domain("gymnasium:Acrobot-v1")
     assert isinstance(domain, Gymnasium)
-    domain.write(tmp_path)
-    again = Gymnasium.read(domain.settings, tmp_path)
+    domain.files(domain).write(tmp_path)
+    again = Gymnasium.files.read(Gymnasium, domain.settings, tmp_path)
     assert again.target_return == -100.0
     assert torch.equal(again.scaling.scale, domain.scaling.scale)
     (tmp_path / "gymnasium.json").write_text('{"centre": [1], "scale": [0], "target_return": 1}')
     with pytest.raises(DomainError, match="damaged"):
-        Gymnasium.read(domain.settings, tmp_path)
+        Gymnasium.files.read(Gymnasium, domain.settings, tmp_path)
     (tmp_path / "gymnasium.json").write_text('{"centre": [1], "scale": [1], "target_return": 1}')
     with pytest.raises(DomainError, match="of another environment"):
-        Gymnasium.read(domain.settings, tmp_path)
+        Gymnasium.files.read(Gymnasium, domain.settings, tmp_path)
 
 
 def test_an_episode_that_is_over_goes_no_further() -> None:

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from rail import END, GEAR, LAMP, PLACE, WIND, Cart, SeeingCart, driven
-from support import seeded
+from support import models_of, seeded
 from torch import Tensor
 
 from cgtorch.domains import Field
@@ -31,7 +31,7 @@ def experience(seed: int, count: int = 400) -> Dataset:
 
 @pytest.fixture(scope="module")
 def fitted() -> Fitted:
-    return Cart().fit_transition(experience(0), 0)
+    return models_of(Cart()).fit_transition(experience(0), 0)
 
 
 def errors(model: TransitionModel, fresh: Dataset) -> Tensor:
@@ -172,7 +172,7 @@ def test_features_of_a_domains_own_are_seen_too(fitted: Fitted) -> None:
     data, fresh = experience(0), experience(1)
     rows = data.percept, data.control, data.next_percept
     blind, seeing = (
-        fit_transition_model(made._transition_model(), *rows, grid=GRID)[0]
+        fit_transition_model(models_of(made)._transition_model(), *rows, grid=GRID)[0]
         for made in (Cart(), SeeingCart())
     )
     numbers = len(Cart.percept) + 1 + len(Cart.control) + 1  # two angles
@@ -198,15 +198,15 @@ def test_it_is_differentiable() -> None:
 def test_it_goes_through_a_file(kind: type[Cart], tmp_path: Path) -> None:
     data = experience(5, 60)
     rows = data.percept, data.control, data.next_percept
-    model, _ = fit_transition_model(kind()._transition_model(), *rows, grid=GRID)
+    model, _ = fit_transition_model(models_of(kind())._transition_model(), *rows, grid=GRID)
     save_model(tmp_path / "gamma", model)
-    again: Any = load_model(tmp_path / "gamma", kind().unfitted())
+    again: Any = load_model(tmp_path / "gamma", models_of(kind()).unfitted())
     for one, other in zip(
         model.predict_with_novelty(*rows[:2]), again.predict_with_novelty(*rows[:2]), strict=True
     ):
         assert torch.equal(one, other)
     if kind is SeeingCart:
-        other = load_model(tmp_path / "gamma", Cart().unfitted())
+        other = load_model(tmp_path / "gamma", models_of(Cart()).unfitted())
         with pytest.raises(DataError, match=r"make 9 features; .* was fitted on 10"):
             other(*rows[:2])
 
@@ -215,7 +215,9 @@ def test_same_seed_same_model() -> None:
     data = experience(6, 60)
     rows = data.percept, data.control, data.next_percept
     one, other = (
-        fit_transition_model(Cart()._transition_model(), *rows, seed=3, grid=GRID)[0].state_dict()
+        fit_transition_model(models_of(Cart())._transition_model(), *rows, seed=3, grid=GRID)[
+            0
+        ].state_dict()
         for _ in range(2)
     )
     assert all(torch.equal(value, other[name]) for name, value in one.items())
@@ -236,10 +238,10 @@ def test_bad_data_are_refused(change: Any, says: str) -> None:
     data = experience(6, 60)
     rows = change(data.percept, data.control, data.next_percept)
     with pytest.raises(DataError, match=says):
-        fit_transition_model(Cart()._transition_model(), *rows, grid=GRID)
+        fit_transition_model(models_of(Cart())._transition_model(), *rows, grid=GRID)
 
 
 def test_an_unfitted_model_says_so() -> None:
     data = experience(6, 10)
     with pytest.raises(ModelError, match="fitted"):
-        Cart()._transition_model()(data.percept, data.control)
+        models_of(Cart())._transition_model()(data.percept, data.control)

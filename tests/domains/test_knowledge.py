@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from members import nearly
-from reaching import BASE, TABLE, Reaching, fitted_to, world_of
+from reaching import BASE, TABLE_MODELS, Reaching, fitted_to, world_of
 from support import seeded, world
 from torch import Tensor
 
@@ -32,7 +32,7 @@ PERCEPTS = world(0, 4).start(torch.arange(4))[1]
 
 @pytest.mark.parametrize("replicas", [1, 3])
 def test_scenarios_are_imagined_several_times(knowledge: Knowledge, replicas: int) -> None:
-    place = TABLE.imagine(knowledge, PERCEPTS, replicas, seeded(0))
+    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, replicas, seeded(0))
     assert place.num_scenarios == 4 * replicas
     seen = place.start(torch.arange(4 * replicas))[1]
     for i in range(4):
@@ -40,7 +40,7 @@ def test_scenarios_are_imagined_several_times(knowledge: Knowledge, replicas: in
 
 
 def test_errors_are_those_that_gamma_makes(knowledge: Knowledge) -> None:
-    place = TABLE.imagine(knowledge, PERCEPTS, 3, seeded(0))
+    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 3, seeded(0))
     data = knowledge.dataset
     made = data.next_percept - knowledge.swift(data.percept, data.control).detach()
     assert place.errors is not None
@@ -59,7 +59,7 @@ def test_errors_are_those_that_gamma_makes(knowledge: Knowledge) -> None:
 
 
 def test_imagined_tables_are_in_the_way(knowledge: Knowledge) -> None:
-    place = TABLE.imagine(knowledge, PERCEPTS, 1, seeded(0))
+    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 1, seeded(0))
     lanes = start_lanes(place, torch.arange(4), 0, 0)
     for ahead, free in ((0.2, True), (1.2, False), (-3.0, False), (float("nan"), False)):
         motion = torch.tensor([ahead, 0.0, 0.0]).repeat(4, 1)
@@ -73,7 +73,7 @@ def test_a_seen_yaw_and_obstacles_count_in_the_models() -> None:
     half = 0.5**0.5
     seven = [1.2 - half, 1.2 + half, -half, half, 1.2, 0.0, 0.8]
     turned, behind, none = [0.0, 1.0], [-1.0, -0.5, -0.2, 0.2], [0.0] * 4
-    possible = TABLE.possible
+    possible = TABLE_MODELS.possible
     forwards, aside, back = [0.6, 0.0, 0.0], [0.2, 0.9, 0.0], [-0.4, 0.0, 0.0]
     for extra, free in (
         ([], [False, False, True]),
@@ -88,7 +88,7 @@ def test_a_seen_yaw_and_obstacles_count_in_the_models() -> None:
 def test_with_few_data_nearly_all_fresh_transitions_are_within_them(knowledge: Knowledge) -> None:
     """The training data alone would say otherwise: each is a centre and not novel at all."""
     fresh = collect(Scenes(world_of), 400, 120, seeded(8))
-    place = TABLE.imagine(knowledge, PERCEPTS, 1, seeded(0))
+    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 1, seeded(0))
     with torch.no_grad():
         _, novelty = place.gamma(fresh.percept, fresh.control)
     assert float((novelty <= place.most_novel).float().mean()) > 0.9
@@ -96,7 +96,7 @@ def test_with_few_data_nearly_all_fresh_transitions_are_within_them(knowledge: K
 
 def test_a_rollout_that_leaves_the_data_fails(knowledge: Knowledge) -> None:
     """Driving back, again and again, the robot comes to where no data are."""
-    place = TABLE.imagine(knowledge, PERCEPTS, 1, seeded(0))
+    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 1, seeded(0))
     lanes = start_lanes(place, torch.arange(4), 0, 0)
     back = torch.tensor([-1.2, 0.0, 0.0]).repeat(4, 1)
     lost = [place.lost(lanes)]
@@ -118,7 +118,7 @@ def test_obstacles_that_are_not_there_are_never_imagined() -> None:
     percepts = first_percepts(table.world(cluttered_scenarios(12, seeded(1))))
     there = (percepts[:, 9:] != 0).any(1)
     assert 0 < int(there.sum()) < 12
-    place = table.imagine(knowledge, percepts, 1, seeded(2))
+    place = table.models(table).imagine(knowledge, percepts, 1, seeded(2))
     assert place.errors is not None
     assert place.errors[:, :, :9].abs().amin(2).gt(0).all()
     lanes = start_lanes(place, torch.arange(12), 0, 0)
@@ -129,7 +129,7 @@ def test_obstacles_that_are_not_there_are_never_imagined() -> None:
 
 def test_imagining_leaves_the_models_alone(knowledge: Knowledge) -> None:
     before = {k: v.clone() for k, v in knowledge.gamma.state_dict().items()}
-    place = TABLE.imagine(knowledge, PERCEPTS, 1, seeded(0))
+    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 1, seeded(0))
     assert place.classifier is not knowledge.classifier
     assert all(torch.equal(v, before[k]) for k, v in knowledge.gamma.state_dict().items())
 

@@ -6,29 +6,29 @@ from typing import Any
 import pytest
 import torch
 from rail import GEAR, LAMP, PLACE, WIND, Cart, Rail, SeeingCart, driven
-from support import seeded
+from support import models_of, seeded
 from torch import Tensor
 
 from cgtorch.domains.compiled_models import compiled_models
-from cgtorch.domains.knowledge import Knowledge, fit_models, learn, learn_more, taken
-from cgtorch.domains.robust_success import robust_success
-from cgtorch.domains.summary import summary_of
+from cgtorch.domains.knowledge import Knowledge, learn_more, summary_of, taken
+from cgtorch.domains.models import Models
 from cgtorch.evolution import EvolutionSettings, evolve
 from cgtorch.graphs import Skill
 from cgtorch.ground.environment import Dataset, start_lanes
 from cgtorch.simulation import ModelEnvironment, rollout
+from cgtorch.training.evaluate import robust_success
 
 PERCEPTS = Cart().world(Cart().draw("any", 5, seeded(9))).start(torch.arange(5))[1]
 
 
 @pytest.fixture(scope="module")
 def known() -> Knowledge:
-    return fit_models(Cart(), driven(300, 300, 0), 0)
+    return models_of(Cart()).fit(driven(300, 300, 0), 0)
 
 
 def test_models_are_fitted_with_the_features_of_their_domain() -> None:
     data = driven(80, 120, 1)
-    knowledge = fit_models(SeeingCart(), data, 0)
+    knowledge = models_of(SeeingCart()).fit(data, 0)
     assert type(knowledge.gamma).__name__ == "KernelTransitionModel"
     assert len(knowledge.dataset.percept) == knowledge.gamma_report.rows == 80
     assert len(knowledge.dataset.tested) == knowledge.classifier_report.rows == 120
@@ -39,7 +39,7 @@ def test_models_are_fitted_with_the_features_of_their_domain() -> None:
 
 
 def test_a_domain_is_imagined_with_its_own_controls_and_errors(known: Knowledge) -> None:
-    place = Cart().imagine(known, PERCEPTS, 2, seeded(2))
+    place = models_of(Cart()).imagine(known, PERCEPTS, 2, seeded(2))
     assert isinstance(place, ModelEnvironment)
     assert (place.num_scenarios, place.percept_size, place.control_size) == (10, 4, 3)
     assert torch.equal(place.percepts, PERCEPTS.repeat_interleave(2, 0))
@@ -50,7 +50,7 @@ def test_a_domain_is_imagined_with_its_own_controls_and_errors(known: Knowledge)
     assert place.errors[..., LAMP].abs().max() <= torch.pi
 
 
-class Careful(Cart):
+class CarefulModels(Models[Cart]):
     """It cannot be pushed back, and of its lamp and its gear Γ is believed."""
 
     def possible(self, percept: Tensor, control: Tensor) -> Tensor:
@@ -62,8 +62,14 @@ class Careful(Cart):
         return exact
 
 
+class Careful(Cart):
+    """One with these models."""
+
+    models = CarefulModels
+
+
 def test_what_a_domain_says_is_possible_and_noisy_counts(known: Knowledge) -> None:
-    place: Any = Careful().imagine(known, PERCEPTS, 1, seeded(2))
+    place: Any = models_of(Careful()).imagine(known, PERCEPTS, 1, seeded(2))
     assert not place.errors[..., [LAMP, GEAR]].any()
     assert place.errors[..., PLACE].abs().mean() > 0.005
     lanes = start_lanes(place, torch.arange(5), 0, 0)
@@ -75,7 +81,7 @@ def test_what_a_domain_says_is_possible_and_noisy_counts(known: Knowledge) -> No
 
 
 def test_what_is_imagined_is_much_like_the_world(known: Knowledge) -> None:
-    place = Cart().imagine(known, PERCEPTS, 1, seeded(2))
+    place = models_of(Cart()).imagine(known, PERCEPTS, 1, seeded(2))
     world = Cart().world(Cart().draw("any", 5, seeded(9)))
     push = torch.tensor([[0.6, -0.4, 0.0]]).expand(5, -1)
     ends = [e.step(start_lanes(e, torch.arange(5), 0, 0), push)[0].percept for e in (place, world)]
@@ -96,7 +102,7 @@ def test_good_data_are_taken(known: Knowledge) -> None:
 def test_few_rows_are_all_fitted_anew(known: Knowledge) -> None:
     """With hyper-parameters of their own, and errors that are cross-validated again."""
     new, fresh = (driven(300, 300, s) for s in (3, 4))
-    after = learn(Cart(), known, new, seeded(5))
+    after = models_of(Cart()).learn(known, new, seeded(5))
     assert after.acceptances is None
     rows = len(after.dataset.percept), len(after.dataset.tested)
     assert rows == (after.gamma_report.rows, after.classifier_report.rows)
@@ -104,7 +110,7 @@ def test_few_rows_are_all_fitted_anew(known: Knowledge) -> None:
     assert rows[0] + len(after.aside.percept) == rows[1] + len(after.aside.tested) == 600
     assert errors(after, fresh) < errors(known, fresh)
     assert sum(after.gamma_report.error) < sum(known.gamma_report.error)
-    again = learn(Cart(), known, new, seeded(5))
+    again = models_of(Cart()).learn(known, new, seeded(5))
     assert torch.equal(again.gamma.machine.weights, after.gamma.machine.weights)
 
 
@@ -130,7 +136,7 @@ def test_wrong_data_are_refused_and_leave_everything_as_it_was(
 
 
 def test_errors_of_an_angle_go_the_shorter_way() -> None:
-    gamma = Cart()._transition_model()
+    gamma = models_of(Cart())._transition_model()
     one, other = torch.zeros(1, 4), torch.zeros(1, 4)
     one[:, LAMP], other[:, LAMP] = 3.0, -3.0
     assert gamma.difference(one, other)[0, LAMP].item() == pytest.approx(2 * torch.pi - 6, abs=1e-6)
@@ -161,7 +167,7 @@ def test_a_skill_that_was_evolved_in_the_models_works_in_the_world(known: Knowle
     carts = domain.draw("any", 30, generator)
     carts = replace(carts, lamp=carts.lamp / 4, gear=carts.gear.clamp(min=1))
     percepts = domain.world(carts).start(torch.arange(30))[1]
-    place = domain.imagine(known, percepts, 1, generator)
+    place = models_of(domain).imagine(known, percepts, 1, generator)
     settings = EvolutionSettings(population=80, capacity=8, initial_nodes=(3, 6))
     for generation in evolve(place, domain.actions(), settings, generator):
         if generation.number == 12:
@@ -170,7 +176,9 @@ def test_a_skill_that_was_evolved_in_the_models_works_in_the_world(known: Knowle
     tried = rollout(graph, actions, Rail(carts)).succeeded[0]
     at_once = Rail(carts).succeeded(percepts)
     assert int(tried.sum()) > int(at_once.sum())
-    robust = robust_success(domain, Skill("stop", graph, actions), known, percepts, generator, 4)
+    robust = robust_success(
+        models_of(domain), Skill("stop", graph, actions), known, percepts, generator, 4
+    )
     assert robust.shape == (30,)
     assert tried[robust].float().mean() > 0.6
 

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 import torch
 from rail import Cart, SeeingCart, driven
+from support import models_of
 from torch import Tensor
 
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
@@ -23,7 +24,7 @@ TESTS = DATA.tested, DATA.succeeded
 
 
 def gamma_of(rows: int, domain: Cart | None = None) -> TransitionModel:
-    model = (domain or Cart())._transition_model()
+    model = models_of(domain or Cart())._transition_model()
     some = (a[:rows] for a in MOVES)
     return fit_transition_model(
         model, *some, grid=Grid([10.0], [1.0], [0.05], 600), dtype=torch.float64
@@ -31,7 +32,7 @@ def gamma_of(rows: int, domain: Cart | None = None) -> TransitionModel:
 
 
 def classifier_of(rows: int, domain: Cart | None = None) -> SuccessClassifier:
-    model = (domain or Cart())._success_classifier()
+    model = models_of(domain or Cart())._success_classifier()
     some = (a[:rows] for a in TESTS)
     return fit_success_classifier(model, *some, **GRID, dtype=torch.float64)[0]
 

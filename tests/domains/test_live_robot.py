@@ -14,8 +14,9 @@ from driven_cart import NEAR, CartDriver, begun, cart, lines, push, pusher, told
 from rail import Cart, Rail
 from support import seeded
 
-from cgtorch.domains.live import Placements, Robot, domain_of_driver, on_robot, routine_names
-from cgtorch.domains.robot_driver import ProtectiveStop, RobotDriver
+from cgtorch.domains.domain import noisy, rewarded
+from cgtorch.domains.live import Placements, domain_of_driver, on_robot, routine_names
+from cgtorch.domains.robot import ProtectiveStop, Robot, RobotDriver
 from cgtorch.graphs import ActionSet, BranchingNN, Step, Test
 from cgtorch.ground.environment import Environment, Live, Rewarded, start_lanes
 from cgtorch.ground.errors import DomainError, RobotStoppedError
@@ -31,17 +32,16 @@ def test_a_robot_is_a_live_environment(tmp_path: Path) -> None:
     assert isinstance(world, Environment)
     assert not isinstance(world, Rewarded)
     assert (world.num_scenarios, world.percept_size, world.control_size) == (3, 2, 1)
-    assert domain.live
     assert not domain.repeats
-    assert not domain.noisy_world
-    assert not domain.rewarded
+    assert not noisy(domain)
+    assert not rewarded(domain)
     assert domain.kinds == ("near", "far")
     assert type(domain).__name__ == "LiveCartDriver"
     drawn = domain.draw("far", 4, seeded(0))
     assert isinstance(drawn, Placements)
     assert drawn.kind.tolist() == [1] * 4
     assert len(domain.tests("near")) == 0
-    assert domain.draw_scenarios(drawn, torch.ones(4), torch.ones(4)) is None
+    assert domain.pictures(domain).scenarios(drawn, torch.ones(4), torch.ones(4)) is None
 
 
 def test_one_scene_is_met_at_a_time(tmp_path: Path) -> None:
@@ -301,7 +301,7 @@ def test_a_driver_names_its_numbers_if_it_is_a_domain_of_its_own() -> None:
     assert domain.control == CartDriver.control
     assert domain.kinds == ("near", "far")
     with pytest.raises(DomainError, match="CartDriver is a robot and has no simulated world"):
-        domain.world(domain.draw("near", 1, seeded(0)))
+        domain.world(domain.draw("near", 1, seeded(0))).start(torch.arange(1))
     for bad in ({"percept": ()}, {"control": ()}):
         with pytest.raises(DomainError, match="names no percept or no control; give a Field"):
             domain_of_driver(type("Blind", (CartDriver,), bad))

@@ -8,10 +8,10 @@ import torch
 from driven_cart import END, CartDriver, begun, cart, lines, push, pusher, told
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support import seeded
+from support import models_of, seeded
 
 from cgtorch.domains.exploration import EXPLORATION, Exploration
-from cgtorch.domains.live import episodes_in
+from cgtorch.domains.robot import episodes_in
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.environment import Environment
 from cgtorch.ground.errors import DomainError, RunError
@@ -257,7 +257,7 @@ def test_a_robot_explores_from_where_it_is(tmp_path: Path) -> None:
 
     driver.script = {9: unplugged}
     with pytest.raises(DomainError, match="unplugged"):
-        domain.explore(exploration(None))
+        models_of(domain).explore(exploration(None))
     assert driver.calls.count("arrange near") == 1
     domain = cart(tmp_path / "log", CartDriver(1))
     data, asked = domain.actor.explored(2, 1)
@@ -275,5 +275,5 @@ def test_a_robot_explores_from_where_it_is(tmp_path: Path) -> None:
 
     about = exploration(data)
     with pytest.raises(EnoughError):
-        domain.explore(Exploration(**{**vars(about), "fit": fit}))
+        models_of(domain).explore(Exploration(**{**vars(about), "fit": fit}))
     assert fitted[0] >= 10

@@ -2,20 +2,20 @@
 
 import torch
 from members import nearly
-from reaching import TABLE
+from reaching import TABLE_MODELS
 from support import seeded, world
 
 from cgtorch.domains.knowledge import Knowledge
-from cgtorch.domains.robust_success import robust_success
 from cgtorch.simulation import rollout
+from cgtorch.training.evaluate import robust_success
 
 PERCEPTS = world(0, 20).start(torch.arange(20))[1]
 
 
 def test_a_promise_holds_under_every_error_drawn(knowledge: Knowledge) -> None:
     skill = nearly(0.3)
-    found = robust_success(TABLE, skill, knowledge, PERCEPTS, seeded(3), replicas=5)
-    place = TABLE.imagine(knowledge, PERCEPTS, 5, seeded(3))
+    found = robust_success(TABLE_MODELS, skill, knowledge, PERCEPTS, seeded(3), replicas=5)
+    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 5, seeded(3))
     one_by_one = [
         all(
             bool(rollout(skill.graph, skill.actions, place, scenarios=torch.tensor([i])).succeeded)

@@ -2,17 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from driven_cart import END, NEAR, CartDriver, cart, lines
-from support import seeded
+from support import models_of, seeded
 from torch import Generator
 
-from cgtorch.domains.knowledge import Knowledge, fit_models, learn
+from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.live import OnRobot
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.graphs import skill_to_dict
@@ -44,18 +43,19 @@ def met(count: int) -> Dataset:
 @pytest.fixture(scope="module")
 def known(tmp_path_factory: pytest.TempPathFactory) -> Knowledge:
     domain = cart(tmp_path_factory.mktemp("cart") / "log")
-    return fit_models(domain, met(90), 0)
+    return models_of(domain).fit(met(90), 0)
 
 
 def setup_of(domain: OnRobot, journal: FileJournal | None = None, **more: Any) -> Setup[Any]:
     about: dict[str, Any] = {"purse": Purse(), "practice": 4, "attempts": 10, **more}
     if journal is not None:
         about["journal"] = journal
+    models = models_of(domain)
     return Setup(
         domain.actions(),
         world_of=domain.world,
-        imagine=lambda models, scenes, percepts, *how: domain.imagine(models, percepts, *how),
-        learn=partial(learn, domain),
+        imagine=lambda known, scenes, percepts, *how: models.imagine(known, percepts, *how),
+        learn=models.learn,
         evolution=EvolutionSettings(population=40, capacity=10, initial_nodes=(3, 6)),
         budget=Budget(generations=6),
         looks=12,

@@ -8,6 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rail import GEAR, LAMP, PLACE, Cart, SeeingCart, driven
+from support import models_of
 
 from cgtorch.domains import success
 from cgtorch.domains.reports import SuccessReport
@@ -26,7 +27,7 @@ def experience(seed: int, count: int = 500) -> Dataset:
 
 @pytest.fixture(scope="module")
 def fitted() -> Fitted:
-    return Cart().fit_success(experience(0), 0)
+    return models_of(Cart()).fit_success(experience(0), 0)
 
 
 def balanced(model: SuccessClassifier, fresh: Dataset) -> float:
@@ -87,7 +88,7 @@ def test_features_of_a_domains_own_are_seen_too() -> None:
     data, fresh = experience(3, 150), experience(1, 900)
     found = {}
     for made in (Cart(), SeeingCart()):
-        model = made._success_classifier()
+        model = models_of(made)._success_classifier()
         model, _ = fit_success_classifier(model, data.tested, data.succeeded, **GRID)
         found[type(made)] = balanced(model, fresh)
         size = model.features(data.tested).shape[1]
@@ -107,13 +108,13 @@ def test_it_is_differentiable() -> None:
 @pytest.mark.parametrize("kind", [Cart, SeeingCart])
 def test_it_goes_through_a_file(kind: type[Cart], tmp_path: Path) -> None:
     data = experience(3, 100)
-    model = kind()._success_classifier()
+    model = models_of(kind())._success_classifier()
     model, report = fit_success_classifier(model, data.tested, data.succeeded, **GRID)
     save_model(tmp_path / "c", model, report)
-    again = load_model(tmp_path / "c", kind().unfitted())
+    again = load_model(tmp_path / "c", models_of(kind()).unfitted())
     assert torch.equal(again(data.tested), model(data.tested))
     if kind is SeeingCart:
-        other = load_model(tmp_path / "c", Cart().unfitted())
+        other = load_model(tmp_path / "c", models_of(Cart()).unfitted())
         with pytest.raises(DataError, match=r"4 coordinates, which make 5 .*was fitted on 6"):
             other(data.tested)
 

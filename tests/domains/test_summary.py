@@ -8,15 +8,15 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from rail import Cart, driven
+from support import models_of
 
-from cgtorch.domains.knowledge import Knowledge, fit_models
-from cgtorch.domains.summary import SHOWN, rows_of, scalars_of, summary_of
+from cgtorch.domains.knowledge import SHOWN, Knowledge, rows_of, scalars_of, summary_of
 from cgtorch.ground.statistics import Acceptance
 
 
 @pytest.fixture(scope="module")
 def known() -> Knowledge:
-    return fit_models(Cart(), driven(60, 80, 0), 0)
+    return models_of(Cart()).fit(driven(60, 80, 0), 0)
 
 
 def with_numbers(known: Knowledge, *numbers: tuple[str, float, str]) -> Knowledge:

@@ -9,19 +9,21 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from rail import Cart, driven
-from support import seeded
+from support import models_of, seeded
 
 from cgtorch.domains import knowledge as learned
-from cgtorch.domains.knowledge import ASIDE, FEW, SPARE, Knowledge, fit_models, learn
+from cgtorch.domains.knowledge import ASIDE, FEW, SPARE, Knowledge
+from cgtorch.domains.models import Models
 from cgtorch.ground.environment import Dataset
 
 COUNTS = st.integers(0, 40) | st.integers(SPARE - 12, SPARE + 12) | st.integers(FEW - 12, FEW + 12)
 
 
-class Counting:
-    """A domain that notes what it is asked to fit to."""
+class Counting(Models[Any]):
+    """Models that note what it is asked to fit to."""
 
     def __init__(self) -> None:
+        super().__init__(None)
         self.fits: list[tuple[Dataset, int]] = []
 
     def fit_success(self, data: Dataset, seed: int) -> tuple[Any, Any]:
@@ -67,7 +69,7 @@ def test_a_tenth_is_held_out_as_soon_as_it_can_be_spared(
 ) -> None:
     domain: Any = Counting()
     data = numbered(transitions, tests)
-    found = fit_models(domain, data, seed)
+    found = domain.fit(data, seed)
     assert found.gamma is found.swift
     assert [s for _, s in domain.fits] == [seed, seed]
     assert all(fitted is found.dataset for fitted, _ in domain.fits)
@@ -88,7 +90,7 @@ def test_few_rows_are_fitted_anew_and_to_many_more_are_added(
     more.clear()
     before = known(numbered(*counts[:2]), numbered(*counts[2:4], begin=2000))
     experience, generator = numbered(*counts[4:], begin=4000), seeded(seed)
-    after: Any = learn(domain, before, experience, generator)
+    after: Any = domain.learn(before, experience, generator)
     moves, tests = (sum(counts[i::2]) for i in (0, 1))
     if max(moves, tests) >= FEW:
         assert after == "more"
@@ -117,5 +119,5 @@ def test_what_is_held_out_leaves_c_enough_to_learn_from() -> None:
     tested = no[:300].clone()
     tested[met] = yes[:3]
     rare = Dataset(data.percept, data.control, data.next_percept, tested, met)
-    found = fit_models(Cart(), rare, 0)
+    found = models_of(Cart()).fit(rare, 0)
     assert int(found.dataset.succeeded.sum()) >= 2

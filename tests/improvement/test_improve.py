@@ -9,7 +9,7 @@ from support import FOOTPRINT, seeded
 from torch import Tensor
 from watched import NONE, Watched, along, first_stage, keys, of_kind, stage_of, without_models
 
-from cgtorch.domains.summary import summary_of
+from cgtorch.domains.knowledge import summary_of
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.environment import Dataset

@@ -7,9 +7,8 @@ import torch
 from support import FOOTPRINT, search, seeded
 from torch import Tensor
 
-from cgtorch.domains.knowledge import Knowledge
+from cgtorch.domains.knowledge import Knowledge, summary_of
 from cgtorch.domains.success import fit_success_classifier
-from cgtorch.domains.summary import summary_of
 from cgtorch.domains.transition import Grid
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.evolution import EvolutionSettings

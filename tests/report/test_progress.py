@@ -8,8 +8,7 @@ import torch
 from members import nearly
 from rich.console import Console
 
-from cgtorch.domains.knowledge import Knowledge
-from cgtorch.domains.summary import summary_of
+from cgtorch.domains.knowledge import Knowledge, summary_of
 from cgtorch.evolution.fitness import WORST
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.statistics import Acceptance

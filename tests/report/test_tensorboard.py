@@ -13,8 +13,7 @@ import torch
 from reaching import TABLE
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from cgtorch.domains.knowledge import Knowledge
-from cgtorch.domains.summary import summary_of
+from cgtorch.domains.knowledge import Knowledge, summary_of
 from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.population import STRATEGY
 from cgtorch.ground.errors import RunError
@@ -36,7 +35,7 @@ from cgtorch.tabletop.actions import paper_actions
 
 SETTINGS = {"population": 60, "seed": 3, "stages": ("S0", "S1"), "quiet": True, "device": "cpu"}
 ALL = {"scalars": 0, "histograms": 0, "images": 0, "tensors": 0}
-drawing = partial(TensorBoardWatch, draw_scenarios=TABLE.draw_scenarios)
+drawing = partial(TensorBoardWatch, draw_scenarios=TABLE.pictures(TABLE).scenarios)
 
 
 def read(folder: Path) -> EventAccumulator:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from cgtorch.domains.settings import DomainSettings, from_plain, to_plain
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.settings import NAMES, RunSettings, all_fields, defaults_of
-from cgtorch.tabletop.domain import ACTIONS, Tabletop
+from cgtorch.tabletop.domain import ACTIONS
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.tabletop.world import PERCEPTS
 
@@ -105,7 +105,6 @@ def test_texts(kind: Kind, name: str, bad: Any) -> None:
 def test_what_can_be_chosen_exists() -> None:
     assert set(CHOICES["percept"][1]) == {"auto", *PERCEPTS}
     assert set(CHOICES["networks"][1]) == {"auto", *ACTIONS}
-    assert set(Tabletop.trained_kinds) <= set(Tabletop.kinds)
 
 
 def test_no_setting_has_two_meanings() -> None:

@@ -49,7 +49,7 @@ LIMIT = 12
 def work() -> Workload:
     run = read_run(REFERENCE)
     assert isinstance(run.domain, Tabletop)
-    knowledge = load_knowledge(REFERENCE / run.stages[-1], run.domain.unfitted())
+    knowledge = load_knowledge(REFERENCE / run.stages[-1], run.models.unfitted())
     return workload_of(knowledge, run.domain, 6, seeded(0))
 
 

@@ -13,8 +13,8 @@ from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError, SettingsError
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun, planned_run
-from cgtorch.training import given_data as module
-from cgtorch.training.given_data import given_data, known_at_last
+from cgtorch.training import start as module
+from cgtorch.training.start import given_data, known_at_last
 
 
 def some_data(moves: int, met: int, missed: int) -> Dataset:

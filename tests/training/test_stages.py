@@ -12,7 +12,7 @@ from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun, round_name
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
-from cgtorch.training.stages import stage_generator, stages_to_make
+from cgtorch.training.train import stage_generator, stages_to_make
 
 RUN = StoredRun(Path("none"), RunSettings(), TABLE, paper_actions())
 STAGES = TABLE.stages

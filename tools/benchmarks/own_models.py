@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from benchmarks.measure import WALL, Comparison, Effort, Line, cores, in_turns, run_threads
 from benchmarks.workload import SCENARIOS, first_population, workload
 from cgtorch.domains.exploration import Exploration
-from cgtorch.domains.knowledge import Knowledge, fit_models
+from cgtorch.domains.knowledge import Knowledge
 from cgtorch.graphs import ActionSet
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.environment import Dataset, Environment
@@ -32,7 +32,8 @@ def own_models(effort: Effort) -> Line:
     domain, generator = MountainCar(), torch.Generator().manual_seed(0)
     knowledge = explored(domain, generator)
     world = domain.world(domain.draw("valley", SCENARIOS, generator))
-    found = domain.imagine(knowledge, first_percepts(world), 1, generator)
+    models = domain.models(domain)
+    found = models.imagine(knowledge, first_percepts(world), 1, generator)
     if not isinstance(found, ModelEnvironment):
         raise TypeError(f"MountainCar imagines a {type(found).__name__}; nothing was timed")
     work, car = workload(), resized(found)
@@ -52,15 +53,16 @@ def own_models(effort: Effort) -> Line:
 
 def explored(domain: MountainCar, generator: Generator) -> Knowledge:
     """Γ and C of what an exploration has met."""
+    models = domain.models(domain)
 
     def world(kind: str, count: int) -> Environment:
         return domain.world(domain.draw(kind, count, generator))
 
     def fit(data: Dataset) -> Knowledge:
-        return fit_models(domain, data, 0)
+        return models.fit(data, 0)
 
     about = Exploration("valley", world, fit, MOTIONS, 2, generator, Purse())
-    return fit(domain.explore(about))
+    return fit(models.explore(about))
 
 
 def resized(environment: ModelEnvironment) -> ModelEnvironment:

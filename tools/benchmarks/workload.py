@@ -6,7 +6,7 @@ from functools import cache
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.domains.knowledge import Knowledge, fit_models
+from cgtorch.domains.knowledge import Knowledge
 from cgtorch.evolution import EvolutionSettings, Population, evolve
 from cgtorch.evolution.operators import crossover, mutate
 from cgtorch.evolution.population import random_population, slim
@@ -47,7 +47,7 @@ def workload() -> Workload:
     """What the paper's method begins with: random data of the robot's world, and Γ and C."""
     generator, domain = _seeded(0), Tabletop()
     data = collect(Scenes(domain.world), TRANSITIONS, LABELS, generator)
-    knowledge = fit_models(domain, data, 0)
+    knowledge = domain.models(domain).fit(data, 0)
     return workload_of(knowledge, domain, SCENARIOS, generator)
 
 
@@ -63,7 +63,7 @@ def workload_of(
     """The models as an environment of so many random placements around the table."""
     world = domain.world(domain.draw("perimeter", count, generator))
     footprint = torch.tensor(domain.robot.description.footprint)
-    environment = domain.imagine(knowledge, first_percepts(world), 1, generator)
+    environment = domain.models(domain).imagine(knowledge, first_percepts(world), 1, generator)
     return Workload(knowledge, environment, footprint, paper_actions())
 
 

@@ -47,13 +47,14 @@ latter a whole edge, and the paper's forty placements."""
 
 def pose(problem: Problem, run_folder: Path, seed: int) -> tuple[Environment, ActionSet]:
     """The problem of a seed in the models that a run began with, and what nodes can be."""
-    domain = read_run(run_folder).domain
-    knowledge = load_knowledge(run_folder / "start", domain.unfitted())
+    run = read_run(run_folder)
+    domain = run.domain
+    knowledge = load_knowledge(run_folder / "start", run.models.unfitted())
     generator = Generator().manual_seed(1_000_003 * (seed + 1))
     world = domain.world(domain.draw(problem.placement, problem.drawn, generator))
     percepts = first_percepts(world)
     everyone = torch.ones(problem.drawn, dtype=torch.bool)
     group_of = SPECIALISTS[problem.networks].group_of
     rows = group_of(percepts, everyone, problem.group, generator)
-    models = domain.imagine(knowledge, percepts[rows], problem.replicas, generator)
+    models = run.models.imagine(knowledge, percepts[rows], problem.replicas, generator)
     return models, ACTIONS[problem.networks](world.percept_size)

@@ -100,7 +100,7 @@ def _fitted(run: StoredRun) -> Fitted | None:
     for name in (*reversed(run.stages), START):
         folder = run.folder / name
         if (folder / GAMMA).is_file() and (folder / CLASSIFIER).is_file():
-            _, _, gamma, classifier = load_models(folder, run.domain.unfitted())
+            _, _, gamma, classifier = load_models(folder, run.models.unfitted())
             if not (_sound_gamma(gamma) and _sound_classifier(classifier)):
                 raise RunError(f"a report of the models in {str(folder)!r} is damaged; restore it")
             return Fitted(name, gamma, classifier)

@@ -9,6 +9,7 @@ from markupsafe import Markup
 from matplotlib import rc_context
 
 from cgtorch import __version__
+from cgtorch.domains.domain import rewarded
 from cgtorch.domains.registry import is_code
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.errors import CgtorchError
@@ -45,18 +46,19 @@ def report_page(run: StoredRun) -> bytes:
 def _context(contents: Contents) -> dict[str, Any]:
     run, domain = contents.run, contents.run.domain
     film, undrawn = _film(contents)
-    names = {**versions(), **domain.made_with()}
+    names = {**versions(), **run.files.made_with()}
     return {
         "name": run.folder.resolve().name,
         "run": run,
         "domain": domain,
+        "pictures": run.pictures,
         "made_with": [(name, str(contents.about.get(name, "–"))) for name in names],
         "version": __version__,
-        "about": domain.about(),
+        "about": run.pictures.about(),
         "stages": stage_sections(contents),
         "results": [stage.result for stage in contents.stages],
         "asked": _asked_by_phase(contents),
-        "usual": run.kind == domain.usual_kind,
+        "usual": run.kind == domain.kinds[0],
         "film": film,
         "missing": [*_missing(contents), *undrawn],
         "success": _success(contents),
@@ -88,7 +90,7 @@ def _film(contents: Contents) -> tuple[str, list[str]]:
         return "", []
     skill, scenarios = solved[-1].skill, solved[-1].solved
     try:
-        data = contents.run.domain.film(skill, scenarios[len(scenarios) - 1 :])
+        data = contents.run.pictures.film(skill, scenarios[len(scenarios) - 1 :])
     except CgtorchError as e:
         return "", [f"There is no film of {skill.name}: {e}."]
     return "data:image/webp;base64," + b64encode(data).decode() if data else "", []
@@ -108,7 +110,7 @@ def _missing(contents: Contents) -> list[str]:
     run, said = contents.run, []
     if not contents.stages:
         said.append("No stage is finished yet, so there is no skill to show.")
-    elif run.kind == run.domain.usual_kind and not run.rounds:
+    elif run.kind == run.domain.kinds[0] and not run.rounds:
         lacking = [name for name in _asked(contents) if name not in run.stages]
         if lacking:
             made = ", ".join(run.stages)
@@ -135,17 +137,17 @@ def _asked(contents: Contents) -> list[str]:
 
 
 def _success(contents: Contents) -> Markup:
-    stages, domain = contents.stages, contents.run.domain
+    stages, run = contents.stages, contents.run
     if not any(s.result[kind]["tried"] for s in stages for kind in ("fresh", "overall")):
         return Markup("")
     shares, others = (
         [(s.name, s.result[kind]["succeeded"], s.result[kind]["tried"]) for s in stages]
         for kind in ("fresh", "overall")
     )
-    theirs = domain.published.get("") if contents.run.kind == domain.usual_kind else None
-    line = None if theirs is None else (domain.publisher, theirs.succeeded / theirs.tried)
+    theirs = run.pictures.published.get("") if run.kind == run.domain.kinds[0] else None
+    line = None if theirs is None else (run.pictures.publisher, theirs.succeeded / theirs.tried)
     words = ("fresh scenarios of the stage", "all kinds of scenarios")
-    if contents.run.rounds:
+    if run.rounds:
         words = ("fresh scenarios", "the final test, if there was one")
     figure = draw_success(shares, others, *words, line)
     return inline_svg(figure, "success", "Share of scenarios solved, by stage")
@@ -155,7 +157,7 @@ def _evolution(contents: Contents) -> dict[str, Any]:
     course = course_of(contents)
     if course is None:
         return {"fitness": "", "rates": "", "logged": 0}
-    fitness = draw_fitness(contents.events, course, contents.run.domain.rewarded)
+    fitness = draw_fitness(contents.events, course, rewarded(contents.run.domain))
     rates = draw_rates(contents.events, course)
     label = "Fitness, share of unsolved individuals, and nodes over generations"
     return {

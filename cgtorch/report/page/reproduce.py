@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
+from cgtorch.domains.domain import rewarded
 from cgtorch.domains.registry import with_name
 from cgtorch.runs.goal import Goal
 from cgtorch.runs.settings import all_fields, defaults_of, option_of
@@ -63,7 +64,7 @@ def _legs(
         if type(summary.get(f.name)) in (int, float)
         and f.name != "rounds"
         and summary[f.name] != f.default
-        and not (run.domain.rewarded and f.name == "target")
+        and not (rewarded(run.domain) and f.name == "target")
     ]
     made = [(name, [f"--stage {name}"]) for name in stages]
     made += [
@@ -85,7 +86,7 @@ def _legs(
 def _settings(run: StoredRun, at_first: Mapping[str, str]) -> list[str]:
     """The options of all settings that differ from the default."""
     own = type(run.domain.settings)
-    stored = run.domain.stored_options(run.folder)
+    stored = run.files.options(run.folder)
     values = {**run.all_settings(), **stored}
     usual = defaults_of(own)
     named = vars(with_name(run.settings.domain, own()))  # which the domain's name says already

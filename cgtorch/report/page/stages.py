@@ -7,13 +7,14 @@ import torch
 from markupsafe import Markup
 from torch import Tensor
 
-from cgtorch.domains.domain import Domain, Published
 from cgtorch.domains.live import Placements
+from cgtorch.domains.pictures import Published
 from cgtorch.graphs.clusters import Cluster, clusters_of
 from cgtorch.ground.errors import printable
 from cgtorch.report.graph_picture import draw_clusters
 from cgtorch.report.html import inline_svg
 from cgtorch.report.page.contents import Contents, Stage
+from cgtorch.runs.stored_run import StoredRun
 
 NONE = Markup("")
 
@@ -47,36 +48,36 @@ def stage_sections(contents: Contents) -> list[StageSection]:
     """All stages of the run, and the missing ones of its domain unless the run makes rounds."""
     made, run = {stage.name: stage for stage in contents.stages}, contents.run
     domain, wanted = run.domain, list(made)
-    if domain.stages and run.kind == domain.usual_kind and not run.rounds:
+    if domain.stages and run.kind == domain.kinds[0] and not run.rounds:
         wanted = list(domain.stages)
     sections = []
     for name in wanted:
         kind, stage = domain.stages.get(name), made.get(name)
-        drawing = Markup(domain.draw_stage(name) if kind else "")  # noqa: S704  the domain's own
-        about = kind is not None, domain.published.get(name), drawing
+        drawing = Markup(run.pictures.stage(name) if kind else "")  # noqa: S704  the domain's own
+        about = kind is not None, run.pictures.published.get(name), drawing
         if stage is None:
             sections.append(StageSection(name, kind or "", *about))
             continue
         clusters = clusters_of(stage.skill)
-        pictures = _map_of(stage, domain, kind), _graph_of(stage, clusters)
+        pictures = _map_of(stage, run, kind), _graph_of(stage, clusters)
         panels = tuple(map(_panel, clusters))
         scenarios = stage.result["scenarios"]
         sections.append(StageSection(name, scenarios, *about, stage, *pictures, panels))
     return sections
 
 
-def _map_of(stage: Stage, domain: Domain[Any], kind: str | None) -> tuple[Markup, str]:
+def _map_of(stage: Stage, run: StoredRun, kind: str | None) -> tuple[Markup, str]:
     """A picture of all known results of a stage's skill; tests of a kind are marked."""
     solved, missed = len(stage.solved), len(stage.missed)
     if not solved + missed:
         return NONE, f"{stage.skill.name}: nothing was tried"
-    words = f"{stage.skill.name}: {solved} scenarios {domain.solved[0]}, {missed} missed"
+    words = f"{stage.skill.name}: {solved} scenarios {run.pictures.solved[0]}, {missed} missed"
     if isinstance(stage.solved, Placements):  # of which nobody knows where things were
         return NONE, words
     everything = stage.solved.joined(stage.missed)
     good = torch.arange(solved + missed) < solved
-    targets = _among(everything, None if kind is None else domain.tests(kind))
-    figure = domain.draw_scenarios(everything, good, targets)
+    targets = _among(everything, None if kind is None else run.domain.tests(kind))
+    figure = run.pictures.scenarios(everything, good, targets)
     if figure is None:
         return NONE, words
     for axes in figure.axes[:1]:

@@ -1,18 +1,18 @@
 """Animated pictures of a skill in physics, drawn by MuJoCo's renderer."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy
 
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import SettingsError
-from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.physics.model import Model, mujoco
+from cgtorch.tabletop.physics.world import Physics
 from cgtorch.tabletop.viewer.execution import execute
-from cgtorch.tabletop.world import Scenarios
+from cgtorch.tabletop.world import ObservedTabletop, Scenarios
 
 WIDTH, HEIGHT = 480, 360  # px
 EVERY = 0.16  # s of the simulation between two pictures
@@ -62,24 +62,32 @@ def _renderer(model: Model) -> Any:
         ) from e
 
 
-def film_of(skill: Skill, domain: Tabletop, scenario: Scenarios, kind: str) -> tuple[str, bytes]:
+WorldIn: TypeAlias = Callable[[Physics, Scenarios], ObservedTabletop]
+"""Makes the world of scenarios in some physics."""
+
+
+def film_of(
+    skill: Skill, physics: Physics, world_in: WorldIn, scenario: Scenarios, kind: str
+) -> tuple[str, bytes]:
     """The end of a skill on the first scenario, and an animated picture as `kind`, gif or webp.
 
     SettingsError if this machine cannot draw.
     """
-    end, pictures = pictures_of(skill, domain, scenario)
+    end, pictures = pictures_of(skill, physics, world_in, scenario)
     return end, animated([pictures], kind)
 
 
-def pictures_of(skill: Skill, domain: Tabletop, scenario: Scenarios) -> tuple[str, list[Any]]:
+def pictures_of(
+    skill: Skill, physics: Physics, world_in: WorldIn, scenario: Scenarios
+) -> tuple[str, list[Any]]:
     """The end of a skill on the first scenario, and pictures of `WIDTH` and `HEIGHT`.
 
     Contact points are marked. SettingsError if this machine cannot draw.
     """
     camera = Camera(scenario)
-    watched = domain.watched(replace(domain.physics, watch=camera, models={}))
+    watched = replace(physics, watch=camera, models={})
     try:
-        end = execute(skill, watched.world(scenario)).end
+        end = execute(skill, world_in(watched, scenario)).end
     finally:
         for renderer in camera.renderers.values():
             renderer.close()

@@ -13,28 +13,12 @@ from cgtorch.simulation import most_steps
 from cgtorch.simulation.call_stack import Frames, advance, first_frames
 from cgtorch.simulation.program import Program, compile_graphs
 from cgtorch.simulation.rollout import rollout_in_torch
-from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.world import ObservedTabletop, Scenarios, draw_of
 from cgtorch.tabletop.world.geometry import rotate
-from cgtorch.training.evaluate import check_percepts
 
 FROM_EDGE = 0.03  # m that a dragged object keeps from the table's edges
 Place: TypeAlias = tuple[Skill, int]
 """A node: its skill, and its slot in that skill's graph."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A skill that can be shown, and its tabletop."""
-
-    skill: Skill
-    domain: Tabletop
-
-    def world(self, scenarios: Scenarios) -> ObservedTabletop:
-        """The world of scenarios; SettingsError if the skill reads other percepts."""
-        world = self.domain.world(scenarios)
-        check_percepts(self.skill, world.percept_size, "such scenarios")
-        return world
 
 
 def scenario_of(kind: str, count: int, seed: int, number: int) -> Scenarios:

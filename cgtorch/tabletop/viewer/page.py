@@ -17,9 +17,15 @@ import viser
 from cgtorch.ground.errors import CgtorchError, SettingsError
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.physics import MujocoWorld
-from cgtorch.tabletop.viewer.execution import Candidate, execute, put_object, scenario_of
+from cgtorch.tabletop.viewer.execution import execute, put_object, scenario_of
 from cgtorch.tabletop.viewer.scene import Scene, headline, levels_html, readings_html
-from cgtorch.tabletop.viewer.timeline import FPS, Timeline, simulated_timeline, timeline_of
+from cgtorch.tabletop.viewer.timeline import (
+    FPS,
+    Candidate,
+    Timeline,
+    simulated_timeline,
+    timeline_of,
+)
 from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.scenarios import DRAWS
 

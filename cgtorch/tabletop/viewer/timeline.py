@@ -21,8 +21,9 @@ from cgtorch.tabletop.physics.bodies import gripper_joints
 from cgtorch.tabletop.physics.model import Model
 from cgtorch.tabletop.physics.scene import thing_of
 from cgtorch.tabletop.viewer.execution import Execution, execute
-from cgtorch.tabletop.world import Scenarios
+from cgtorch.tabletop.world import ObservedTabletop, Scenarios
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, to_frame, wrap
+from cgtorch.training.evaluate import check_percepts
 
 FPS = 20
 DRIVE, TURN, SWING = 0.6, 1.2, 1.2
@@ -34,6 +35,20 @@ THINK, LOOK, REST = 0.4, 0.8, 1.0
 UPRIGHT = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
 """The quaternion of an object that stands, w first."""
 NO_CONTACT = torch.zeros(0, 4, dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A skill that can be shown, and its tabletop."""
+
+    skill: Skill
+    domain: Tabletop
+
+    def world(self, scenarios: Scenarios) -> ObservedTabletop:
+        """The world of scenarios; SettingsError if the skill reads other percepts."""
+        world = self.domain.world(scenarios)
+        check_percepts(self.skill, world.percept_size, "such scenarios")
+        return world
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ def trained(folder: Path, domain: str, make: Callable[[Training], object]) -> St
     )
     run = create_run(folder, settings)
     watch = TensorBoardWatch(
-        folder, run.all_settings(), actions=run.actions, draw_scenarios=run.domain.draw_scenarios
+        folder, run.all_settings(), actions=run.actions, draw_scenarios=run.pictures.scenarios
     )
     with watch:
         make(Training(run, watch, lambda message: nullcontext()))

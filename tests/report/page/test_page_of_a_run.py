@@ -267,7 +267,7 @@ def test_evolution_counts_the_generations(page: html.HtmlElement) -> None:
 
 
 def test_models_are_as_good_as_their_reports_say(page: html.HtmlElement) -> None:
-    _, _, report, labels = load_models(REFERENCE / "S3", RUN.domain.unfitted())
+    _, _, report, labels = load_models(REFERENCE / "S3", RUN.models.unfitted())
     _, *rows = table(page, "Γ in cross-validation")
     for row, name, error, rigid in zip(
         rows, report.coordinates, report.error, report.baseline_error, strict=True

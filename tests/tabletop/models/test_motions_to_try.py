@@ -4,7 +4,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from reaching import TABLE
+from reaching import TABLE_MODELS
 from support import seeded, world
 
 from cgtorch.tabletop.data import BLIND, FARTHEST, NEAR, WITHIN, motions_to_try, random_motions
@@ -19,7 +19,7 @@ def test_motions_stay_within_their_bounds(seed: int, count: int, row: int) -> No
     assert found.isfinite().all()
     assert float(found[:, :2].norm(dim=1).max()) <= FARTHEST + 1e-5
     assert float(found[:, 2].abs().max()) <= torch.pi + 1e-5
-    assert torch.equal(found, TABLE.worth_trying(PERCEPTS[row], count, seeded(seed)))
+    assert torch.equal(found, TABLE_MODELS.worth_trying(PERCEPTS[row], count, seeded(seed)))
 
 
 def test_most_end_near_the_object_in_all_directions() -> None:
@@ -65,6 +65,6 @@ def test_grasps_are_tested_where_the_object_may_be_within_reach() -> None:
     percepts = PERCEPTS.clone()
     percepts[:, 4] = torch.linspace(-2, 2, 40)
     percepts[:, 5] = torch.linspace(1, 0, 40)
-    found = TABLE.worth_testing(percepts)
+    found = TABLE_MODELS.worth_testing(percepts)
     assert found.tolist() == [(x**2 + y**2) ** 0.5 < WITHIN for x, y in percepts[:, 4:6].tolist()]
     assert 0 < int(found.sum()) < 40

@@ -63,7 +63,7 @@ def test_a_run_carries_the_robot_without_the_meshes(urdf, tmp_path, monkeypatch)
     domain = Tabletop(settings)
     assert domain.robot.meshes
     (tmp_path / "run").mkdir()
-    domain.write(tmp_path / "run")
+    domain.files(domain).write(tmp_path / "run")
     monkeypatch.delenv("ROS_PACKAGE_PATH")
     shutil.rmtree(tmp_path / "ws")
     again = Tabletop.read(settings, tmp_path / "run").robot
