@@ -16,7 +16,7 @@ import torch
 from pretended_gpu import GPU
 
 from cgtorch.native.compiler import SOURCES
-from cgtorch.native.gpu import Launcher, Module, addresses, gpu_of, sources_digest
+from cgtorch.native.gpu import Gpu, Module, addresses, gpu_of, sources_digest
 
 HERE = Path(__file__).parent
 FLAGS = (
@@ -48,7 +48,7 @@ class OnGpu(EmulatedGpu):
     device = GPU
 
 
-def launchers() -> list[Launcher]:
+def launchers() -> list[Gpu]:
     """What stands in for a GPU, and this machine's own if it has one."""
     own = gpu_of(GPU) if torch.cuda.is_available() else None
     return [EmulatedGpu(), *([own] if own else [])]

@@ -7,8 +7,7 @@ import torch
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import KernelTransitionModel
 from cgtorch.ground.fields import KINDS, bounds_of, columns_of
-from cgtorch.native import alike, constants, structure
-from cgtorch.native.interface import agree
+from cgtorch.native import agree, alike, constants, structure
 from cgtorch.simulation import CompiledModels, ModelEnvironment
 from cgtorch.simulation.model import anything
 from cgtorch.svm.compiled import LOG2E, machine_structure

@@ -16,9 +16,8 @@ from torch import Tensor
 from cgtorch.evolution.population import STRATEGY, Population, bounds, spread
 from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground import counter_rng
-from cgtorch.native import constants, function, structure, threads
-from cgtorch.native.gpu import Launcher, Module, launcher_of
-from cgtorch.native.interface import agree
+from cgtorch.native import agree, constants, function, structure, threads
+from cgtorch.native.gpu import Gpu, Module, launcher_of
 
 BREEDING = partial(Module, "breeding", kernels=("elite", "pairs", "children"))
 SELECTION = partial(Module, "selection", kernels=("order", "sort_groups", "parents"))
@@ -67,7 +66,7 @@ def breed(
     keys: tuple[int, int],
     actions: ActionSet | None,
     capacity: int,
-    launcher: Launcher | None = None,
+    launcher: Gpu | None = None,
 ) -> tuple[Graphs, Tensor]:
     """See `cgtorch.evolution.operators.breed`; new nodes are not numbered yet."""
     graphs, rows = population.graphs, torch.cat([elite, parents])
@@ -106,7 +105,7 @@ def perturb_parameters(
     tau: float,
     same: int,
     key: int,
-    launcher: Launcher | None = None,
+    launcher: Gpu | None = None,
 ) -> tuple[Tensor, Tensor]:
     """See `cgtorch.evolution.operators_in_torch.perturb_parameters`."""
     launcher, (p, n), k = launcher or launcher_of(old.device), graphs.action.shape, old.shape[2]
@@ -132,9 +131,7 @@ def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
     return order
 
 
-def shuffled(
-    count: int, key: int, device: torch.device, launcher: Launcher | None = None
-) -> Tensor:
+def shuffled(count: int, key: int, device: torch.device, launcher: Gpu | None = None) -> Tensor:
     """See `cgtorch.ground.counter_rng.shuffled`; in torch if it has to be."""
     launcher, name = launcher or launcher_of(device), "shuffled_order"
     if launcher is None and function(name, torch.float32) is None:
@@ -164,7 +161,7 @@ def lexicase(scores: Tensor, epsilon: Tensor, count: int, key: int) -> Tensor:
 
 
 def lexicase_on_gpu(
-    launcher: Launcher, scores: Tensor, members: Tensor, keys: Sequence[int], count: int
+    launcher: Gpu, scores: Tensor, members: Tensor, keys: Sequence[int], count: int
 ) -> Tensor:
     """Parents (count,) by lexicase selection within groups of individuals, one group per key.
 
@@ -230,7 +227,7 @@ def _call(name: str, dtype: torch.dtype, *arguments: Any) -> None:
 
 
 def _launch(
-    gpu: Launcher, module: Module, kernel: str, threads: int, block: int, *arguments: Any
+    gpu: Gpu, module: Module, kernel: str, threads: int, block: int, *arguments: Any
 ) -> None:
     if threads:
         gpu.launch(module, kernel, -(-threads // block), block, 0, *arguments)

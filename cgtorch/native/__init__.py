@@ -2,6 +2,7 @@
 
 from cgtorch.native.library import VECTOR as VECTOR
 from cgtorch.native.library import WRONG_GRAPHS as WRONG_GRAPHS
+from cgtorch.native.library import agree as agree
 from cgtorch.native.library import alike as alike
 from cgtorch.native.library import available as available
 from cgtorch.native.library import constants as constants

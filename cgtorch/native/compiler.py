@@ -21,12 +21,10 @@ FLAGS = (
     "-O3", "-std=c11", "-fPIC", "-pthread", "-fopenmp-simd", "-ffp-contract=off",
     "-fno-math-errno", "-fno-trapping-math",
 )  # fmt: skip
-LINK = ("-shared", "-pthread")
 WIDE = "-mprefer-vector-width=512"
 """Without it, compilers use only half of the widest vectors of some CPUs."""
 TARGETS = {"AVX512": ("-march=x86-64-v4", WIDE), "AVX2": ("-march=x86-64-v3",)}
 """Targets of the libraries in a wheel, the fastest first, by torch's names of CPU capabilities."""
-LONGEST = ("rollouts", "kernel_rollouts", "worlds", "rbf", "models")
 SECONDS = 300
 """A compiler that takes longer counts as missing."""
 
@@ -77,10 +75,10 @@ def compile_library(real: str, compiler: str, target: Sequence[str], path: Path)
             _run([*command, f"-I{SOURCES}", "-c", str(source), "-o", made])
             return made
 
-        # Those that take longest go first.
-        files = sorted(SOURCES.rglob("*.c"), key=lambda source: source.stem not in LONGEST)
-        whole = Path(folder) / path.name
-        _run([compiler, *LINK, *pool.map(compiled, files), "-o", str(whole), "-lm"])
+        slow = ("rollouts", "kernel_rollouts", "worlds", "rbf", "models")  # which go first
+        files = sorted(SOURCES.rglob("*.c"), key=lambda source: source.stem not in slow)
+        objects, whole = pool.map(compiled, files), Path(folder) / path.name
+        _run([compiler, "-shared", "-pthread", *objects, "-o", str(whole), "-lm"])
         whole.replace(path)
 
 

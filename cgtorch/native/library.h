@@ -1,5 +1,5 @@
 /* Exports of constants and sizes, by which Python checks its reading of the sources
-   (cgtorch.native.interface), and work sharing among threads. */
+   (cgtorch.native.library), and work sharing among threads. */
 #pragma once
 #include <stddef.h>
 #include <stdint.h>

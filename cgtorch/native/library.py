@@ -1,16 +1,21 @@
 """The C sources below this folder, compiled once for this CPU and kept in the user's cache.
 
 A computational graph runs one short step after another, and in C these take a tenth of the time of
-tensor operations (docs/decisions/engine.md). Compilation is optional. Without a compiler, the
-library of the wheel is used if it suits this machine. Without either, or with `CGTORCH_NATIVE=0`,
-everything but the kinematics of arms runs in torch, slower and with other rounding.
+tensor operations (docs/decisions/engine.md). Without a compiler, the library of the wheel is used
+if it suits this machine. Without either, or with `CGTORCH_NATIVE=0`, everything but the kinematics
+of arms runs in torch, slower and with other rounding.
+
+Functions and structures are parsed from the sources. Constants and the sizes of structures come
+from the compiled library itself (library.h), which is refused if the sizes differ.
 """
 
 import ctypes
 import os
 import platform
+import re
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,7 +25,6 @@ from torch import Tensor
 
 from cgtorch.ground.errors import CompilerError
 from cgtorch.native import compiler
-from cgtorch.native.interface import Interface, agree, interface_of
 
 REALS = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}
 """The type of `REAL` in C for numbers of these types."""
@@ -31,6 +35,14 @@ VECTOR = 64
 WRONG_GRAPHS = 2
 FAILURES = {"DONE": 0, "NO_MEMORY": 1, "WRONG_GRAPHS": WRONG_GRAPHS}
 """The return values of functions, as in library.h."""
+
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+_STRUCTURE = re.compile(r"typedef struct \{([^{}]*)\} (\w+);")
+_FUNCTION = re.compile(r"^int (\w+)\(([^()]*)\) \{", re.MULTILINE)
+_DECLARATION = re.compile(r"(const )?(?:unsigned )?(\w+) (.*)", re.DOTALL)
+_EXPORT = re.compile(r"^EXPORT_(STRUCT|CONSTANTS)\((\w+)", re.MULTILINE)
+
+_threads = 0
 
 
 def available() -> bool:
@@ -57,7 +69,11 @@ def function(name: str, dtype: torch.dtype) -> Any:
 
 
 def structure(name: str, dtype: torch.dtype) -> Any:
-    """A function that makes a structure for numbers of a type, or None without compiled code."""
+    """A function that makes a structure from all its fields, or None without compiled code.
+
+    Fields are numbers, structures, and tensors for pointers and arrays. A structure keeps its
+    tensors alive; those that C writes to must be contiguous.
+    """
     found = library(dtype)
     return found and found.structures[name]
 
@@ -68,11 +84,16 @@ def constants(group: str, dtype: torch.dtype = torch.float32) -> Mapping[str, in
     return found.constants[group] if found else {}
 
 
-def suits(*tensors: Tensor) -> bool:
-    """Whether C can process tensors (...): on the CPU, of one type, without gradient.
+def agree(found: Mapping[str, int], wanted: Mapping[str, int]) -> None:
+    """ImportError unless constants have the same values in C and in Python."""
+    if wrong := {name: value for name, value in wanted.items() if found.get(name) != value}:
+        raise ImportError(
+            f"Python has {wrong} and the compiled library {dict(found)}; make them equal"
+        )
 
-    It is False while a graph is exported, as there are no numbers then.
-    """
+
+def suits(*tensors: Tensor) -> bool:
+    """Whether C can process tensors (...): `alike` on the CPU, and no graph is being exported."""
     return tensors[0].is_cpu and alike(*tensors) and not torch.compiler.is_compiling()
 
 
@@ -90,16 +111,22 @@ def threads() -> int:
 
 
 def use_threads(count: int) -> int:
-    """Set the number of threads of compiled code; with 0 it is torch's number.
+    """Set the number of threads of compiled code, 0 for torch's; returns the previous setting.
 
-    No result depends on it. The previous setting is returned.
+    No result depends on it.
     """
     global _threads
     before, _threads = _threads, count
     return before
 
 
-_threads = 0
+@dataclass(frozen=True)
+class Interface:
+    """The functions, makers of structures, and groups of constants of a library, by name."""
+
+    functions: Mapping[str, Any]
+    structures: Mapping[str, Callable[..., Any]]
+    constants: Mapping[str, Mapping[str, int]]
 
 
 def library(dtype: torch.dtype) -> Interface | None:
@@ -183,3 +210,111 @@ def _from_wheel(real: str) -> ctypes.CDLL | None:
             except OSError:
                 continue
     return None
+
+
+def interface_of(library: ctypes.CDLL, sources: str, real: Any) -> Interface:
+    """The interface of a library, given its sources and the ctype `real`.
+
+    ImportError if sizes of structures differ.
+    """
+    text = _COMMENT.sub("", sources)
+    types = {"real": real, "float": ctypes.c_float, "double": ctypes.c_double}
+    types["int64_t"] = ctypes.c_int64
+    bodies = {name: body for body, name in _STRUCTURE.findall(text)}
+    structures, groups, functions = {}, {}, {}
+    for what, name in _EXPORT.findall(text):
+        if what == "CONSTANTS":
+            groups[name] = _constants(library, name)
+            continue
+        structures[name] = _maker(structure := _structure(name, bodies, types))
+        size = ctypes.c_int64.in_dll(library, f"size_of_{name}").value
+        if size != ctypes.sizeof(structure):
+            raise ImportError(
+                f"structure {name} of the compiled library has {size} bytes and that of the "
+                f"sources {ctypes.sizeof(structure)}; delete the library from the cache"
+            )
+    for name, arguments in _FUNCTION.findall(text):
+        functions[name] = getattr(library, name)
+        functions[name].restype = ctypes.c_int
+        functions[name].argtypes = [
+            _Pointer if "*" in each else types[each.split()[0]] for each in arguments.split(",")
+        ]
+    return Interface(functions, structures, groups)
+
+
+class _Pointer(ctypes.c_void_p):
+    """A pointer, for which a contiguous tensor, a structure, an array or None may be passed."""
+
+    @classmethod
+    def from_param(cls, value: Any) -> "_Pointer":
+        return cls(_address(value))
+
+
+class _ReadPointer(_Pointer):
+    """A pointer to memory that C does not write to."""
+
+
+def _structure(name: str, bodies: Mapping[str, str], types: dict[str, Any]) -> Any:
+    """The class of a structure; it and all structures within it are entered in `types`."""
+    if name not in types:
+        fields = []
+        for declaration in bodies[name].split(";")[:-1]:
+            constant, base, names = _DECLARATION.findall(declaration.strip())[0]
+            for each in names.split(","):
+                field, _, count = each.strip(" *]").partition("[")
+                kind: Any = _ReadPointer if constant else _Pointer
+                if "*" not in each:
+                    kind = types.get(base) or _structure(base, bodies, types)
+                fields.append((field, kind * int(count) if count else kind))
+        types[name] = type(name, (ctypes.Structure,), {"_fields_": fields})
+    return types[name]
+
+
+def _maker(structure: Any) -> Callable[..., Any]:
+    """A fast function that makes a structure from all its fields."""
+    kinds = dict(structure._fields_)
+    read = [name for name, kind in kinds.items() if kind is _ReadPointer]
+    written = [name for name, kind in kinds.items() if kind is _Pointer]
+    arrays = [name for name, kind in kinds.items() if issubclass(kind, ctypes.Array)]
+
+    def made(**fields: Any) -> Any:
+        if fields.keys() != kinds.keys():
+            wrong = ", ".join(sorted(fields.keys() ^ kinds.keys()))
+            raise TypeError(f"{structure.__name__} differs in fields {wrong}")
+        kept = list(fields.values())
+        devices = {str(value.device) for value in kept if isinstance(value, Tensor)}
+        if len(devices) > 1:  # which would crash the process
+            where = " and ".join(sorted(devices))
+            raise ValueError(f"tensors of {structure.__name__} are on {where}; move them")
+        for name in read:
+            if isinstance(value := fields[name], Tensor):
+                kept.append(value := value.contiguous())
+                fields[name] = value.data_ptr()
+            else:
+                fields[name] = _address(value)
+        for name in written:
+            fields[name] = _address(fields[name])
+        for name in arrays:
+            fields[name] = tuple(fields[name].tolist())
+        filled = structure(**fields)
+        filled.kept = kept
+        return filled
+
+    return made
+
+
+def _constants(library: ctypes.CDLL, group: str) -> dict[str, int]:
+    text = ctypes.c_char.in_dll(library, f"names_of_{group}")
+    names = ctypes.string_at(ctypes.addressof(text)).decode().split(", ")
+    values = (ctypes.c_int64 * len(names)).in_dll(library, f"values_of_{group}")
+    return dict(zip(names, values, strict=True))
+
+
+def _address(value: Any) -> int | None:
+    if value is None:
+        return None
+    if not isinstance(value, Tensor):
+        return ctypes.addressof(value)
+    if not value.is_contiguous():
+        raise ValueError(f"a tensor {tuple(value.shape)} is not contiguous; call contiguous()")
+    return value.data_ptr()

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.graphs import Action, ActionSet, Graphs, SubSkill
-from cgtorch.native import constants, function, structure
-from cgtorch.native.interface import agree
+from cgtorch.native import agree, constants, function, structure
 from cgtorch.simulation.action_table import (
     FAILURE,
     SUCCESS,

@@ -2,7 +2,7 @@
 
 from cgtorch.graphs import ActionSet
 from cgtorch.ground.environment import Environment
-from cgtorch.native.gpu import Launcher, launcher_of
+from cgtorch.native.gpu import Gpu, launcher_of
 from cgtorch.simulation.compiled import CompiledEngine, compiled_models
 from cgtorch.simulation.compiled_actions import NETWORKS, ROUTINES, WITH_MEMORY, compiled_actions
 from cgtorch.simulation.gpu_engine import GpuEngine, gpu_engine
@@ -10,7 +10,7 @@ from cgtorch.simulation.model import ModelEnvironment
 
 
 def engine_of(
-    actions: ActionSet, environment: Environment, gpu: Launcher | None = None
+    actions: ActionSet, environment: Environment, gpu: Gpu | None = None
 ) -> CompiledEngine | GpuEngine | None:
     """The engine of actions in models, or None if the environment is not compiled.
 

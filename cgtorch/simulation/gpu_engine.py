@@ -13,7 +13,7 @@ from torch import Tensor
 
 from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.native import constants, structure
-from cgtorch.native.gpu import Launcher, Module, constants_of
+from cgtorch.native.gpu import Gpu, Module
 from cgtorch.simulation.action_table import FAILURE, SUCCESS
 from cgtorch.simulation.compiled import NUMBERS, RESULTS, program_of
 from cgtorch.simulation.compiled_actions import CompiledActions
@@ -51,7 +51,7 @@ class GpuEngine:
     models: CompiledModels
     environment: Any
     percept_size: int
-    gpu: Launcher
+    gpu: Gpu
     module: Module
     shared: int
 
@@ -160,7 +160,7 @@ def gpu_engine(
     models: CompiledModels,
     environment: Any,
     percept_size: int,
-    gpu: Launcher,
+    gpu: Gpu,
 ) -> GpuEngine:
     """The engine of actions in models whose tensors are on a GPU."""
     found, networks = models.structure, {(a.inputs, a.hidden) for a in known.networks()}
@@ -192,7 +192,7 @@ def gpu_engine(
     }
     if len(networks) == 1:
         ((sizes["INPUTS"], sizes["HIDDEN"]),) = networks
-    module = Module(models.name, models.dtype, KERNELS, constants_of(sizes))
+    module = Module(models.name, models.dtype, KERNELS, tuple(sorted(sizes.items())))
     shared = size * sum(machine.m * (machine.d + machine.k) for machine in (gamma, classifier))
     fits = shared if shared <= SHARED else 0
     return GpuEngine(actions, known, models, environment, percept_size, gpu, module, fits)

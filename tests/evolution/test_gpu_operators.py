@@ -20,7 +20,7 @@ from cgtorch.graphs import ActionSet, ContinuousNN
 from cgtorch.ground.counter_rng import shuffled
 from cgtorch.native import available
 from cgtorch.native import gpu as native_gpu
-from cgtorch.native.gpu import Launcher
+from cgtorch.native.gpu import Gpu
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.actions import paper_actions
 
@@ -41,7 +41,7 @@ class Wide(ContinuousNN):
 OWN = ActionSet((*PAPER.names, "Wide"), (*PAPER.actions, Wide(7, 3, 3)))
 
 
-def device_name(launcher: Launcher) -> str:
+def device_name(launcher: Gpu) -> str:
     return str(launcher.device)
 
 
@@ -58,7 +58,7 @@ def assert_equal(found: Population, wanted: Population) -> None:
 @pytest.mark.parametrize("launcher", launchers(), ids=device_name)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("mutates", [False, True])
-def test_children_are_the_same(mutates: bool, dtype: torch.dtype, launcher: Launcher) -> None:
+def test_children_are_the_same(mutates: bool, dtype: torch.dtype, launcher: Gpu) -> None:
     population, g = population_of(1, OWN), seeded(2)
     population.graphs.parameters.data = population.graphs.parameters.to(dtype)
     elite, parents = torch.tensor([7, 3]), torch.randint(60, (58,), generator=g)
@@ -107,7 +107,7 @@ def scores_of(kind: str, seed: int, size: int, scenarios: int) -> Tensor:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("launcher", launchers(), ids=device_name)
 def test_one_group_has_the_same_parents(
-    kind: str, size: int, scenarios: int, dtype: torch.dtype, launcher: Launcher
+    kind: str, size: int, scenarios: int, dtype: torch.dtype, launcher: Gpu
 ) -> None:
     scores = scores_of(kind, size, size, scenarios).to(dtype)
     wanted = lexicase_in_c(scores, deviation(scores), 40, 17)
@@ -119,7 +119,7 @@ def test_one_group_has_the_same_parents(
 
 @pytest.mark.parametrize("launcher", launchers(), ids=device_name)
 @pytest.mark.parametrize("count", [1, 5, 1000])
-def test_orders_are_the_same(count: int, launcher: Launcher) -> None:
+def test_orders_are_the_same(count: int, launcher: Gpu) -> None:
     found = compiled.shuffled(count, -3, launcher.device, launcher)
     assert torch.equal(found.cpu(), shuffled(count, -3))
 

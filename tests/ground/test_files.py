@@ -1,11 +1,21 @@
+"""Files: whole or not at all, one error whatever they contain, and a log that survives a kill."""
+
 import json
+import os
+import re
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cgtorch.ground.errors import GraphError, RunError
-from cgtorch.ground.files import read_bytes, read_json, write_bytes, write_json
+from cgtorch.ground.files import JsonLines, read_bytes, read_json, write_bytes, write_json
+
+VALUE = st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.text() | st.floats(-9, 9)
+ROW = st.dictionaries(st.text(max_size=5), VALUE | st.lists(VALUE, max_size=3), max_size=4)
 
 
 def test_round_trip_replaces_the_old_content_and_leaves_no_other_file(tmp_path: Path) -> None:
@@ -16,32 +26,22 @@ def test_round_trip_replaces_the_old_content_and_leaves_no_other_file(tmp_path: 
         assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_failed_write_keeps_the_old_content_and_no_temporary_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: BaseException
 ) -> None:
     path = tmp_path / "a.json"
     write_json(path, {"old": 1})
 
-    def full(_: int) -> None:
-        raise OSError(28, "No space left on device")
+    def fails(_: int) -> None:
+        raise fault
 
-    monkeypatch.setattr("os.fsync", full)
-    with pytest.raises(RunError, match=r"a\.json.*No space left on device"):
+    monkeypatch.setattr("os.fsync", fails)
+    error = RunError if isinstance(fault, OSError) else KeyboardInterrupt
+    with pytest.raises(error, match=r"a\.json.*No space left on device|^$"):
         write_json(path, {"new": 2})
     assert read_json(path) == {"old": 1}
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_an_interrupted_write_leaves_no_temporary_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(_: int) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("os.fsync", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        write_bytes(tmp_path / "a", b"x")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("data", [float("nan"), [float("inf")], {"x": object()}, {1j: 2}, "loop"])
@@ -61,8 +61,9 @@ def test_unwritable_paths(tmp_path: Path) -> None:
     for path in (tmp_path / "folder", tmp_path / "none" / "a", tmp_path / "nul\0"):
         with pytest.raises(RunError, match="cannot write"):
             write_json(path, {})
-    assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
-    assert not list((tmp_path / "folder").iterdir())
+        with pytest.raises(RunError):
+            JsonLines(path).append({"a": 1})
+    assert list(tmp_path.rglob("*")) == [tmp_path / "folder"]
 
 
 @pytest.mark.parametrize(
@@ -91,15 +92,28 @@ def test_bad_content_ends_in_one_line(tmp_path: Path, content: bytes, message: s
     assert str(path) in str(caught.value)
 
 
+def test_a_key_that_comes_twice_is_found_at_once_among_very_many(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({str(i): 0 for i in range(50_000)})[:-1] + ', "49999": 1}')
+    with pytest.raises(RunError, match="key '49999' comes twice"):
+        read_json(path)
+
+
 def test_what_is_no_file_is_not_read(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "missing", Path("/dev/zero"), tmp_path / "nul\0"):
         with pytest.raises(GraphError, match=r"not a file|cannot read"):
             read_json(path, error=GraphError)
 
 
-def test_bytes_come_back_unless_they_are_too_many(tmp_path: Path) -> None:
+def test_bytes_come_back_unless_they_are_too_many_and_take_no_more_memory(tmp_path: Path) -> None:
     path = tmp_path / "a"
     write_bytes(path, b"12345")
+    tracemalloc.start()
+    try:
+        assert read_bytes(path, 2**30) == b"12345"
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
     assert read_bytes(path, 5) == b"12345"
     with pytest.raises(GraphError, match="larger than 4 bytes"):
         read_bytes(path, 4, GraphError)
@@ -109,19 +123,69 @@ def test_bytes_come_back_unless_they_are_too_many(tmp_path: Path) -> None:
         read_bytes(path, 2**30)
 
 
-def test_a_key_that_comes_twice_is_found_at_once_among_very_many(tmp_path: Path) -> None:
-    path = tmp_path / "a.json"
-    path.write_text(json.dumps({str(i): 0 for i in range(300_000)})[:-1] + ', "299999": 1}')
-    with pytest.raises(RunError, match="key '299999' comes twice"):
-        read_json(path)
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("log") / "log.jsonl"
 
 
-def test_reading_takes_no_more_memory_than_there_is_to_read(tmp_path: Path) -> None:
-    path = tmp_path / "a"
-    write_bytes(path, b"12345")
-    tracemalloc.start()
-    try:
-        read_bytes(path, 2**30)
-        assert tracemalloc.get_traced_memory()[1] < 2**20
-    finally:
-        tracemalloc.stop()
+@given(st.lists(ROW, max_size=4), st.data())
+def test_a_log_is_read_in_order_and_a_torn_last_line_is_cut(
+    place: Path, rows: list[dict[str, Any]], data: Any
+) -> None:
+    """Wherever the process was killed, what was whole is there and what follows is, too."""
+    place.unlink(missing_ok=True)
+    log = JsonLines(place)
+    assert not list(log.rows())
+    assert not place.exists()
+    for i, row in enumerate(rows):
+        log.append(row)
+        assert list(JsonLines(place).rows()) == rows[: i + 1]
+        assert place.read_bytes().count(b"\n") == i + 1
+    whole = place.read_bytes() if rows else b""
+    left = data.draw(st.integers(0, len(whole)))
+    place.write_bytes(whole[:left])
+    again = JsonLines(place)
+    count = whole[:left].count(b"\n")
+    assert list(again.rows()) == rows[:count]
+    assert place.read_bytes() == whole[:left]  # whoever reads changes nothing
+    again.append({"next": 1})
+    assert list(again.rows()) == [*rows[:count], {"next": 1}]
+
+
+@pytest.mark.parametrize(
+    "line", [b"nonsense", b"", b"[1]", b"3", b'{"a": 1', b"\xff\xfe", b'{"a": 1} {"b": 2}']
+)
+def test_garbage_in_a_log_is_one_error_that_says_where(tmp_path: Path, line: bytes) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(b'{"a": 1}\n' + line + b'\n{"b": 2}\n')
+    rows = JsonLines(path).rows()
+    assert next(rows) == {"a": 1}
+    with pytest.raises(RunError, match=f"line 2 of {re.escape(repr(str(path)))} is .*restore the"):
+        next(rows)
+
+
+def test_every_line_is_on_disk_before_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a crash of the machine would leave it: what was not synchronised is gone."""
+    path, kept = tmp_path / "log", list[bytes]()
+    fsync = os.fsync
+
+    def synchronised(file: int) -> None:
+        fsync(file)
+        kept.append(path.read_bytes())
+
+    monkeypatch.setattr(os, "fsync", synchronised)
+    log, other = JsonLines(path), JsonLines(path)  # as of another process
+    for i, one in enumerate((log, other, log)):
+        one.append({"row": i})
+        assert len(kept) == i + 1
+        assert [json.loads(line)["row"] for line in kept[-1].splitlines()] == [*range(i + 1)]
+
+
+def test_numbers_that_json_does_not_know_are_not_logged(tmp_path: Path) -> None:
+    log = JsonLines(tmp_path / "log")
+    log.append({"a": 1})
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        log.append({"a": float("nan")})
+    assert list(log.rows()) == [{"a": 1}]

@@ -1,4 +1,4 @@
-"""Work shared out to processes: the results in order, errors as they are, one interrupt."""
+"""Work in processes: results in order, errors as they are, one interrupt; and who is told of it."""
 
 import os
 import signal
@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from cgtorch.ground.errors import DataError, SettingsError
-from cgtorch.ground.processes import in_processes
+from cgtorch.ground.processes import counted, in_processes, listening
 
 WORK = """
 import os
@@ -35,23 +35,22 @@ def test_results_come_in_order_and_are_told(processes):
     assert (os.getpid() in {process for _, process in found}) == (processes == 1)
 
 
-def test_an_error_comes_back_as_it_is():
-    def work(number: int) -> int:
-        if number == 1:
-            raise SettingsError("this one")
-        return number
-
-    with pytest.raises(SettingsError, match="this one"):
-        in_processes(work, 3, 2, lambda _: None)
+def refused(number: int) -> int:
+    if number == 1:
+        raise SettingsError("this one")
+    return number
 
 
-def test_a_killed_process_is_told():
-    def work(number: int) -> int:
-        os.kill(os.getpid(), signal.SIGKILL)
-        return number
-
-    with pytest.raises(DataError, match="was killed"):
-        in_processes(work, 3, 2, lambda _: None)
+@pytest.mark.parametrize(
+    ("work", "error", "says"),
+    [
+        (refused, SettingsError, "this one"),
+        (lambda _: os.kill(os.getpid(), signal.SIGKILL), DataError, "was killed"),
+    ],
+)
+def test_an_error_comes_back_as_it_is_and_a_killed_process_is_told(work, error, says):
+    with pytest.raises(error, match=says):
+        in_processes(work, 3, 2)
 
 
 def test_an_interrupt_is_told_once() -> None:
@@ -63,5 +62,21 @@ def test_an_interrupt_is_told_once() -> None:
     assert running.stdout is not None
     assert {running.stdout.readline() for _ in range(3)} == {"begun\n", "done\n"}
     os.killpg(running.pid, signal.SIGINT)
-    out, err = running.communicate(timeout=60)
-    assert (out, err) == ("interrupted\n", "")
+    assert running.communicate(timeout=60) == ("interrupted\n", "")
+
+
+def test_what_is_counted_is_told_to_whoever_listens_and_to_nobody_else() -> None:
+    told: list[tuple[str, str, int, int]] = []
+    more = counted("grasps", 5)
+    more(1)
+    with listening(lambda *given: told.append(("outer", *given))):
+        with listening(lambda *given: told.append(("inner", *given))):
+            counted("motions", 1)
+        more(2)
+        more(4)
+    more(1)
+    assert told == [
+        ("inner", "motions", 0, 1),
+        ("outer", "grasps", 3, 5),
+        ("outer", "grasps", 5, 5),
+    ]

@@ -1,66 +1,117 @@
-"""Compiled code: where it comes from, and that nothing needs it."""
+"""Compiled code: where it comes from, that nothing needs it, and what Python knows of it."""
 
-import os
-import subprocess
-import sys
+import ctypes
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 from quick_compiler import quick_compiler
 
-from cgtorch.native import available
+from cgtorch.evolution import STRATEGY
+from cgtorch.native import agree, available, compiler, constants, function, library, structure
+from cgtorch.simulation.action_table import FAILURE, SUCCESS, TIMEOUT
 
-WITHOUT = """
-import torch
-from cgtorch.native import function
-from cgtorch.svm import SVR
-x = torch.randn(60, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-machine = SVR(10.0, gamma=0.5).fit(x, x.sin().sum(1))
-print(function("rbf_values", x.dtype) is not None, repr(float(machine.values(x[:1])[0, 0])))
-"""
+pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
+
+SOURCES = compiler.sources().decode()
+MACHINE = {"centres": None, "weights": None, "bias": None, "scale": 2.0, "m": 8, "d": 4, "k": 1}
 
 
-def said(**environment: str) -> tuple[bool, float]:
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT],
-        check=True,
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-    )
-    yes, value = done.stdout.split()
-    return yes == "True", float(value)
+def found_anew(monkeypatch: pytest.MonkeyPatch, **environment: str) -> Any:
+    """What a process with these variables would find."""
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(library, "built", getattr(library.built, "__wrapped__", library.built))
+    return library.library(torch.float64)
 
 
-@pytest.mark.skipif(not available(), reason="there is no C compiler")
-def test_it_is_compiled_once_into_the_cache(tmp_path: Path) -> None:
-    where = {"XDG_CACHE_HOME": str(tmp_path), "CC": quick_compiler(tmp_path)}
-    yes, value = said(**where)
-    assert yes
-    made = {path: path.stat().st_mtime_ns for path in (tmp_path / "cgtorch").iterdir()}
-    assert made
-    assert all(path.suffix == ".so" for path in made)
+def test_it_is_compiled_once_into_the_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert library.to_be_compiled()
+    found = found_anew(monkeypatch, CC=quick_compiler(tmp_path))
+    assert found.functions.keys() >= {"rbf_values", "rbf_gram"}
+    (made,) = (tmp_path / "cgtorch").iterdir()
+    assert made.suffix == ".so"
     assert (tmp_path / "cgtorch").stat().st_mode & 0o077 == 0
-    assert said(**where) == (yes, value)
-    again = {path: path.stat().st_mtime_ns for path in (tmp_path / "cgtorch").iterdir()}
-    assert again == made
+    time = made.stat().st_mtime_ns
+    assert found_anew(monkeypatch)
+    assert made.stat().st_mtime_ns == time
+    assert list((tmp_path / "cgtorch").iterdir()) == [made]
 
 
-def test_without_a_compiler_torch_says_the_same(tmp_path: Path) -> None:
-    _, value = said()
-    for environment in (
-        {"CGTORCH_NATIVE": "0"},
-        {"CC": "no-such-compiler", "XDG_CACHE_HOME": str(tmp_path)},
-        {"CC": "false", "XDG_CACHE_HOME": str(tmp_path)},
-    ):
-        found, plain = said(**environment)
-        assert not found
-        assert plain == pytest.approx(value, abs=1e-12)
-
-
-def test_a_cache_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "environment",
+    [{"CGTORCH_NATIVE": "0"}, {"CC": "no-such-compiler"}, {"CC": "false"}, {"XDG_CACHE_HOME": ""}],
+    ids=str,
+)
+def test_without_a_compiler_or_a_cache_nothing_is_found_and_that_is_no_error(
+    environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "file" if "XDG_CACHE_HOME" in environment else tmp_path
     (tmp_path / "file").write_text("in the way")
-    _, value = said()
-    found, plain = said(XDG_CACHE_HOME=str(tmp_path / "file"))
-    assert not found
-    assert plain == pytest.approx(value, abs=1e-12)
+    assert not found_anew(monkeypatch, **(environment | {"XDG_CACHE_HOME": str(place)}))
+    assert not library.to_be_compiled()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_functions_structures_and_constants_are_those_of_the_sources(dtype: torch.dtype) -> None:
+    machine = structure("Machine", dtype)(**MACHINE)
+    assert (machine.scale, machine.m, machine.d, machine.k) == (2.0, 8, 4, 1)
+    assert len(function("rbf_values", dtype).argtypes) == 6
+    assert constants("strategy") == {name.upper(): i for i, name in enumerate(STRATEGY)}
+    assert constants("ends") == {"SUCCESS": SUCCESS, "FAILURE": FAILURE, "TIMEOUT": TIMEOUT}
+    assert list(constants("action_kinds").values()) == list(range(11))
+
+
+@pytest.mark.parametrize(
+    ("field", "instead", "real"),
+    [
+        ("int64_t m, d, k;", "int64_t m, d;", ctypes.c_double),
+        ("int64_t m, d, k;", "int64_t m, d, k, more;", ctypes.c_double),
+        ("real mean[4], scale[4]", "real mean[4], scale[3]", ctypes.c_double),
+        ("", "", ctypes.c_float),
+    ],
+)
+def test_a_structure_of_another_size_is_refused(field: str, instead: str, real: Any) -> None:
+    compiled = ctypes.CDLL(str(library._kept("double")))
+    assert field in SOURCES
+    library.interface_of(compiled, SOURCES, ctypes.c_double)
+    with pytest.raises(ImportError, match=r"structure \w+ of the compiled library has \d+ bytes"):
+        library.interface_of(compiled, SOURCES.replace(field, instead), real)
+
+
+@pytest.mark.parametrize("wrong", [{"SUCCESS": 1}, {"LOST": -4}])
+def test_constants_that_differ_are_refused(wrong: dict[str, int]) -> None:
+    agree(constants("ends"), {"FAILURE": FAILURE})
+    with pytest.raises(ImportError, match=next(iter(wrong))):
+        agree(constants("ends"), {"FAILURE": FAILURE, **wrong})
+
+
+@pytest.mark.parametrize(
+    "fields", [{**MACHINE, "more": 1}, {n: v for n, v in MACHINE.items() if n != "bias"}]
+)
+def test_all_fields_have_to_be_given(fields: dict[str, Any]) -> None:
+    with pytest.raises(TypeError, match=r"Machine differs in fields (more|bias)"):
+        structure("Machine", torch.float64)(**fields)
+
+
+@pytest.mark.parametrize("moved", ["centres", "weights"])
+def test_tensors_of_a_structure_have_to_be_on_one_device(moved: str) -> None:
+    fields = {**MACHINE, "centres": torch.zeros(8, 4), "weights": torch.zeros(8, 1)}
+    assert structure("Machine", torch.float32)(**fields).m == 8
+    fields[moved] = fields[moved].to("meta")
+    with pytest.raises(ValueError, match="tensors of Machine are on cpu and meta; move them"):
+        structure("Machine", torch.float32)(**fields)
+
+
+def test_what_c_writes_to_must_be_contiguous() -> None:
+    call, x = function("deviation", torch.float32), torch.zeros(3, 4)
+    with pytest.raises(ctypes.ArgumentError, match="not contiguous"):
+        call(x.T, 4, 3, torch.empty(3), 1)
+    room = torch.zeros(4, 3).T
+    fields = dict.fromkeys(("action", "edges", "start"), torch.zeros(3, dtype=torch.long))
+    with pytest.raises(ValueError, match="not contiguous"):
+        structure("Graphs", torch.float32)(**fields, origins=room, nodes=3, outcomes=3)

@@ -5,6 +5,7 @@ import platform
 import subprocess
 import sys
 import zipfile
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -79,11 +80,10 @@ def test_libraries_of_other_sources_are_left_alone(installed: Path, tmp_path: Pa
         source.write_text(text)
 
 
-def test_both_kinds_of_libraries_are_in_it(installed: Path) -> None:
-    found = {path.name for path in (installed / "cgtorch" / "native" / "compiled").iterdir()}
-    wanted = {
-        compiler.wheel_file_name(real, target)
-        for real in compiler.REALS
-        for target in compiler.TARGETS
-    }
-    assert found == wanted
+def test_all_libraries_and_sources_are_in_it(installed: Path) -> None:
+    native = installed / "cgtorch" / "native"
+    pairs = product(compiler.REALS, compiler.TARGETS)
+    found = {path.name for path in (native / "compiled").iterdir()}
+    assert found == {compiler.wheel_file_name(*pair) for pair in pairs}
+    for path in [*compiler.SOURCES.rglob("*.[ch]"), *compiler.SOURCES.rglob("*.cu")]:
+        assert (native / path.relative_to(compiler.SOURCES)).read_bytes() == path.read_bytes()

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import RobotError
-from cgtorch.native import required, threads
-from cgtorch.native.interface import agree
+from cgtorch.native import agree, required, threads
 from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.solids import Boxes, Tensors
 

@@ -10,8 +10,8 @@ from random_kernel_models import DOMAINS, actions_for, random_kernel_models
 from random_models import models_as, random_models
 from support import nested_actions
 
-from cgtorch.evolution import gpu as evolution
-from cgtorch.native import available, gpu, nvrtc
+from cgtorch.evolution import compiled as evolution
+from cgtorch.native import available, gpu
 from cgtorch.native.gpu import Module
 from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.gpu_engine import GpuEngine
@@ -45,9 +45,9 @@ def modules() -> dict[str, Module]:
 def test_sources_compile(name: str, architecture: str) -> None:
     module = modules()[name]
     options = [f"-D{key}={value}" for key, value in module.defines().items()]
-    if architecture != OPTIMISED and nvrtc.version() >= (13, 0):
+    if architecture != OPTIMISED and gpu.nvrtc_version() >= (13, 0):
         options.append("--Ofast-compile=max")
-    image = nvrtc.cubin(module.source, architecture, options)
+    image = gpu.cubin(module.source, architecture, options)
     assert image.startswith(ELF)
     assert all(kernel.encode() in image for kernel in module.kernels)
 
@@ -55,18 +55,18 @@ def test_sources_compile(name: str, architecture: str) -> None:
 def test_what_does_not_compile_is_told(tmp_path: Path) -> None:
     source = tmp_path / "wrong.cu"
     source.write_text("this is no C\n")
-    with pytest.raises(nvrtc.CompilationError, match=r"wrong\.cu for sm_90"):
-        nvrtc.cubin(source, "sm_90", [])
+    with pytest.raises(gpu.CompilationError, match=r"wrong\.cu for sm_90"):
+        gpu.cubin(source, "sm_90", [])
 
 
 def test_machine_code_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     module = modules()["kernel"]
-    first = gpu._cubin(module, "sm_90")
+    first = gpu.machine_code(module, "sm_90")
     (kept,) = (tmp_path / "cgtorch").iterdir()
     assert kept.read_bytes() == first
-    monkeypatch.setattr(nvrtc, "cubin", None)  # nothing is compiled again
-    assert gpu._cubin(module, "sm_90") == first
+    monkeypatch.setattr(gpu, "cubin", None)  # nothing is compiled again
+    assert gpu.machine_code(module, "sm_90") == first
 
 
 def test_arguments_are_given_by_their_addresses() -> None:
