@@ -7,6 +7,7 @@ from typing import Any
 from rich.console import Console
 
 from cgtorch.commands.common import resumable
+from cgtorch.domains.domain import rewarded
 from cgtorch.domains.registry import TABLETOP, is_code, with_name
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.ground import distributed as ranks
@@ -25,7 +26,7 @@ from cgtorch.training.session import (
     prepared,
     resumed,
 )
-from cgtorch.training.stages import stages_to_make
+from cgtorch.training.train import stages_to_make
 
 
 def begin(

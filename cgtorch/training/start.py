@@ -18,7 +18,7 @@ from cgtorch.domains.knowledge import (
     taken,
 )
 from cgtorch.domains.live import OnRobot
-from cgtorch.evolution.islands import derived_generator
+from cgtorch.evolution.search import derived_generator
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.environment import Dataset, Environment, Live
