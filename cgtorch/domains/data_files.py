@@ -105,7 +105,7 @@ def check_enough(data: Dataset) -> None:
         raise DataError(
             f"the data have {len(data.percept)} transitions, {met} tests that succeeded and "
             f"{missed} that failed, and at least {LEAST} transitions and {FEWEST} tests of either "
-            "result are needed; give more data, or explore further with --transitions"
+            "result are needed; give more data, or explore further (transitions)"
         )
 
 

@@ -130,7 +130,7 @@ class Adaptable(Protocol):
 def in_world(domain: Domain[Any], name: str) -> Domain[Any]:
     """A domain with another world; SettingsError if it has none of that name."""
     if not isinstance(domain, Adaptable):
-        raise SettingsError(f"{type(domain).__name__} has one world only; leave --world out")
+        raise SettingsError(f"{type(domain).__name__} has one world only; leave world out")
     return domain.in_world(name)
 
 

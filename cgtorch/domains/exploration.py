@@ -33,7 +33,8 @@ has not brought its error below this share of what it was."""
 BELIEVED = 0.5  # share of the successes that C has to expect, or no skill would ever test
 ADVICE = (
     "give scenarios that begin nearer to success, say which controls are worth trying "
-    "(Models.worth_trying), implement explore, or evolve in the world: --models none"
+    "(Models.worth_trying), implement explore, or evolve in the world: "
+    "models 'none' (--models none)"
 )
 
 

@@ -141,7 +141,7 @@ class Gymnasium(Domain[Starts]):
         if own is None:
             raise DomainError(
                 f"environment {self.settings.environment!r} names no return from which "
-                "it counts as solved; give one with --target"
+                "it counts as solved; give one as target (--target)"
             )
         return own
 

@@ -183,7 +183,7 @@ def domain_of_driver(driver: type[RobotDriver]) -> type[DriverDomain]:
     if not driver.percept or not driver.control:
         raise DomainError(
             f"driver {driver.__name__} names no percept or no control; give a Field for each "
-            "number, or --domain and --driver"
+            "number, or a domain (--domain) besides the driver (--driver)"
         )
     about = {
         "driver": driver, "percept": driver.percept, "control": driver.control,

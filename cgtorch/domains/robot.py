@@ -173,7 +173,7 @@ class Robot:
             result = future.result()
         except ProtectiveStop as e:
             raise RobotStoppedError(
-                f"the robot has stopped for safety ({e}); release it, and continue with --resume"
+                f"the robot has stopped for safety ({e}); release it, and resume the run (--resume)"
             ) from e
         if late:
             raise TimeoutError(f"it took more than {seconds:g} s")

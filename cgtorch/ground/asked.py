@@ -63,7 +63,9 @@ class Purse:
         for name, limit in self.limits.items():
             if getattr(asked, name) and getattr(after, name) > limit:
                 self.exhausted = True
-                raise BudgetSpentError(f"the budget of {limit:g} {name} is spent; raise --budget")
+                raise BudgetSpentError(
+                    f"the budget of {limit:g} {name} is spent; raise it (budget, --budget)"
+                )
         self.add(phase, asked)
 
     def add(self, phase: str, asked: Asked) -> None:

@@ -47,12 +47,12 @@ def refuse_others(run: StoredRun, given: Mapping[str, Any], how: str) -> None:
         if not _differs(value, was := known[name]):
             continue
         told = list(value) if isinstance(value, tuple) else value
-        about = f"run {str(run.folder)!r} has {option_of(name)} {was}, not {told}"
+        about = f"run {str(run.folder)!r} has {name} {was}, not {told}"
         if name in fixed:
             raise SettingsError(f"{about}, and cannot change it, as {fixed[name]}; {how}")
         raise SettingsError(
-            f"{about}; {how}, or take it over with --resume {run.folder} --override "
-            f"{option_of(name)[2:]}={value}"
+            f"{about}; {how}, or take it over with Run.resume({name}={value!r}), or --resume "
+            f"{run.folder} --override {option_of(name)[2:]}={value}"
         )
 
 
@@ -74,7 +74,7 @@ def overridden(run: StoredRun, overrides: Mapping[str, Any]) -> RunSettings:
     for name, value in overrides.items():
         if name in fixed and _differs(value, known[name]):
             raise SettingsError(
-                f"{option_of(name)} {known[name]} of run {str(run.folder)!r} cannot become "
+                f"{name} {known[name]} of run {str(run.folder)!r} cannot become "
                 f"{value}, as {fixed[name]}; begin another run for it"
             )
     return replace(run.settings, **{k: v for k, v in overrides.items() if k in NAMES})

@@ -142,7 +142,7 @@ class RunSettings:
         if self.transitions == 0 and not self.data:
             raise SettingsError(
                 "transitions is 0, and there is nothing else to learn Γ and C from; give at least "
-                "12, or files of logged transitions with --data"
+                "12, or files of logged transitions as data (--data)"
             )
 
 

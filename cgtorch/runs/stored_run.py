@@ -216,12 +216,12 @@ def read_run(
     if named is not None and named != settings.domain:
         raise DomainError(
             f"run {str(folder)!r} is about domain {settings.domain!r}, not {named!r}; give "
-            "that, or another --run-dir for a new run"
+            "that, or another run folder (--run-dir) for a new run"
         )
     if is_code(settings.domain) and domain is None:
         raise DomainError(
             f"run {str(folder)!r} is about domain {settings.domain!r}, which is code of its own; "
-            f"if you trust it, add --domain {settings.domain}"
+            f"if you trust it, give it as domain (--domain {settings.domain})"
         )
     if unused := [spec for spec in trusted if spec not in settings.actions]:
         raise ActionError(
@@ -232,13 +232,13 @@ def read_run(
         if ":" in spec and spec not in trusted:
             raise ActionError(
                 f"run {str(folder)!r} uses action {spec!r}, which is code of its own; if you trust "
-                f"it, add --actions {spec}"
+                f"it, give it among the actions (--actions {spec})"
             )
     if driver is not None and driver != settings.driver:
         began = repr(settings.driver) if settings.driver else "no driver"
         raise DomainError(
             f"run {str(folder)!r} was begun with {began}, not {driver!r}; give that, or another "
-            "--run-dir for a new run"
+            "run folder (--run-dir) for a new run"
         )
     if isinstance(domain, Domain):
         return _checked(folder, settings, domain, driver or "")
@@ -286,7 +286,7 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
     if run.learns and rewarded(domain):
         raise SettingsError(
             f"domain {settings.domain!r} gives rewards, which Γ and C do not know; its skills are "
-            "evolved in the world itself: --models none"
+            "evolved in the world itself: models 'none' (--models none)"
         )
     return run
 

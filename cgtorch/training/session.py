@@ -149,7 +149,7 @@ def begun(
         if ranks.first():
             write_run(run)
         ranks.wait()
-    refuse_others(run, given, "choose another --run-dir")
+    refuse_others(run, given, "choose another run folder (folder, --run-dir)")
     return run
 
 
@@ -158,7 +158,7 @@ def resumed(run: StoredRun, given: Mapping[str, Any], overrides: Mapping[str, An
     if run.stages and run.learns and not (run.folder / "start").is_dir():
         raise RunError(
             f"run {str(run.folder)!r} is stored without its data and models, and cannot continue "
-            "without them; train a new run with --run-dir"
+            "without them; train a new run in another folder"
         )
     settings = overridden(run, overrides)
     rest = {name: value for name, value in given.items() if name not in overrides}
@@ -282,8 +282,8 @@ def _stage(run: StoredRun, request: TrainingRequest, before: Mapping[str, Any]) 
     if stage != AUTO:
         if request.goal:
             raise SettingsError(
-                f"--target, --minutes and --rounds are for --stage {AUTO}; add that or leave them "
-                "out"
+                f"target, minutes and rounds are for stage {AUTO!r} (--stage {AUTO}); ask for that "
+                "or leave them out"
             )
         stages_to_make(run, stage)
     return stage

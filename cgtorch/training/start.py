@@ -139,8 +139,8 @@ def given_data(run: StoredRun) -> Dataset:
     """
     if not run.learns:
         raise SettingsError(
-            "--data is what Γ and C are learned from, and this run evolves its skills in the world "
-            "itself; leave it out"
+            "Γ and C are learned from data (--data), and this run evolves its skills in the world "
+            "itself; leave data out"
         )
     data = read_data(run.settings.data, run.domain.percept, run.domain.control)
     if run.settings.transitions == 0:

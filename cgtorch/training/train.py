@@ -211,7 +211,7 @@ def make_stage(
             return made
     raise NotImprovedError(
         f"stage {name} found no skill that keeps W and solves more within "
-        f"{training.attempts} attempts; raise --attempts, --generations or --population"
+        f"{training.attempts} attempts; raise attempts, generations or population"
     )
 
 
@@ -261,13 +261,13 @@ def stages_to_make(run: StoredRun, stage: str) -> tuple[str, ...]:
     if run.kind != usual:
         raise SettingsError(
             f"stages {every[0]} to {every[-1]} use {usual} scenarios, not {run.kind}; use "
-            f"--stage {AUTO}"
+            f"stage {AUTO!r} (--stage {AUTO})"
         )
     names = every[: every.index(stage) + 1]
     if run.rounds and not set(names) <= set(run.stages):
         raise RunError(
-            f"run {str(run.folder)!r} has continued with --stage {AUTO} and cannot make a single "
-            f"stage any more; continue with --stage {AUTO} or choose another --run-dir"
+            f"run {str(run.folder)!r} has continued in rounds and cannot make a single stage any "
+            f"more; continue with stage {AUTO!r} (--stage {AUTO}), or choose another run folder"
         )
     return names
 

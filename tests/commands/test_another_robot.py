@@ -25,5 +25,5 @@ def test_a_small_run_of_the_fetch_reaches_the_near_edge(shell: Shell, tmp_path: 
     assert json.loads(ended.out)["rate"] > 0.8
     words = ["cgtorch-train", "--stage", "S0", "--run-dir", run, "--quiet", *OPTIONS]
     message = shell.refuses(*words)
-    assert "has --robot fetch, not pr2, and cannot change it, as the run has its robot" in message
+    assert "has robot fetch, not pr2, and cannot change it, as the run has its robot" in message
     assert shell(*words, "--robot", "fetch").code == 0

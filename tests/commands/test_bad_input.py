@@ -43,13 +43,13 @@ TRAIN, EVALUATE = "cgtorch-train", "cgtorch-evaluate"
         (["--stage", "auto", "--target", "nan"], "target is nan"),
         (["--stage", "auto", "--minutes", "-1"], "minutes is -1.0; give a number from 0 to"),
         (["--stage", "auto", "--rounds", "0"], "rounds is 0; give a whole number of at least 1"),
-        (["--target", "0.9"], "--target, --minutes and --rounds are for --stage auto; add that or"),
-        (["--stage", "S1", "--rounds", "3"], "--rounds are for --stage auto; add that or leave"),
+        (["--target", "0.9"], "target, minutes and rounds are for stage 'auto' (--stage auto);"),
+        (["--stage", "S1", "--rounds", "3"], "rounds are for stage 'auto' (--stage auto); ask"),
         (
             ["--scenarios", "general"],
-            "use perimeter scenarios, not general; use --stage auto",
+            "use perimeter scenarios, not general; use stage 'auto'",
         ),
-        (["--stage", "S0", "--scenarios", "general-clutter"], "use --stage auto"),
+        (["--stage", "S0", "--scenarios", "general-clutter"], "use stage 'auto'"),
         (["--scenarios", "near"], "scenarios is 'near'; use one of perimeter, general, general-"),
         (["--percept", "nose"], "percept is 'nose'; use one of auto, box, yaw"),
         (["--stage", "auto-1"], "unknown stage 'auto-1'; use one of S0, S1, S2, S3, auto"),
@@ -225,20 +225,20 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
     before = listing(run_folder)
     message = shell.refuses(TRAIN, "--run-dir", run_folder, "--seed", 3)
     assert (
-        f"has --seed {SMALL.seed}, not 3, and cannot change it, as everything in the run was drawn"
+        f"has seed {SMALL.seed}, not 3, and cannot change it, as everything in the run was drawn"
         in message
     )
-    assert "choose another --run-dir" in message
+    assert "choose another run folder" in message
     assert "has its robot already" in shell.refuses(
         TRAIN, "--run-dir", run_folder, *as_options(SMALL), "--urdf", PR2 / "pr2.urdf"
     )
     message = shell.refuses(TRAIN, "--resume", run_folder, "--run-dir", "x")
     assert "--run-dir cannot change in a run that has begun; leave it out" in message
     message = shell.refuses(TRAIN, "--resume", run_folder, "--urdf", "x")
-    assert "--urdf , not x, and cannot change it, as the run has its robot already" in message
+    assert "has urdf , not x, and cannot change it, as the run has its robot already" in message
     assert message.endswith("; leave it out\n")
     message = shell.refuses(TRAIN, "--resume", run_folder, "--seed", SMALL.seed, "--population", 80)
-    assert "has --population 60, not 80; leave it out, or take it over with" in message
+    assert "has population 60, not 80; leave it out, or take it over with" in message
     assert f"--resume {run_folder} --override population=80" in message
     assert listing(run_folder) == before
 
@@ -248,19 +248,19 @@ def test_settings_that_differ_from_the_runs(shell: Shell, run_folder: Path) -> N
     [
         (
             ["seed=3"],
-            f"--seed {SMALL.seed} of run .* cannot become 3, as everything in the run",
+            f"seed {SMALL.seed} of run .* cannot become 3, as everything in the run",
         ),
-        (["--transitions=300"], "--transitions 200 of run .* as the first models were learned"),
-        (["position-noise=0.1"], "--position-noise 0.005 of run .* as W was solved under it"),
+        (["--transitions=300"], "transitions 200 of run .* as the first models were learned"),
+        (["position-noise=0.1"], "position_noise 0.005 of run .* as W was solved under it"),
         (
             ["percept=yaw"],
-            "--percept auto of run .* as the data and models of the run depend on it",
+            "percept auto of run .* as the data and models of the run depend on it",
         ),
         (["method=paper"], "neither method can continue the other's skills"),
-        (["population=80", "seed=3"], f"--seed {SMALL.seed} of run"),
+        (["population=80", "seed=3"], f"seed {SMALL.seed} of run"),
         (["population"], "--override 'population' names no setting; give NAME=VALUE"),
         (["colour=red"], "--override 'colour=red' names no setting"),
-        (["actions=x:Y"], "--actions .* as the graphs of the run contain them"),
+        (["actions=x:Y"], "actions .* as the graphs of the run contain them"),
         (["population=many"], "'many' is not a valid integer"),
         (["population=0"], "population is 0; give a whole number of at least 2"),
         (["tournament="], "'' is not a valid integer"),
@@ -310,7 +310,8 @@ def test_code_that_a_file_names_is_not_imported(
     ):
         message = shell.refuses(*words)
         assert (
-            "which is code of its own; if you trust it, add --actions foreign_code:Look" in message
+            "which is code of its own; if you trust it, give it among the actions "
+            "(--actions foreign_code:Look)" in message
         )
         assert not (tmp_path / "imported").exists()
     # A skill that names an action so cannot load code either.

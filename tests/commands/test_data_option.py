@@ -123,9 +123,9 @@ def test_several_files(shell: Shell, logged: Path) -> None:
     about = json.loads((logged / "second" / "run.json").read_text())
     assert about["settings"]["data"] == ["log.csv", "log.csv"]
     message = shell.refuses(TRAIN, *CART, *QUICK, *ALONE, "--run-dir", "second")
-    assert "has --data ['log.csv', 'log.csv'], not ['log.csv'], and cannot change it, as" in message
+    assert "has data ['log.csv', 'log.csv'], not ['log.csv'], and cannot change it, as" in message
     message = shell.refuses(TRAIN, *CART, "--resume", "second", "--override", "data=x.csv")
-    assert "--data ['log.csv', 'log.csv'] of run 'second' cannot become" in message
+    assert "data ['log.csv', 'log.csv'] of run 'second' cannot become" in message
 
 
 @pytest.mark.parametrize(

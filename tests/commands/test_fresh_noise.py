@@ -106,7 +106,7 @@ def test_a_world_under_fresh_noise_cannot_be_made_one_that_repeats(
 ) -> None:
     create_run(tmp_path / "run", SMALL, TabletopSettings(noise="fresh"))
     message = shell.refuses(TRAIN, "--resume", "run", "--override", "noise=seeded")
-    assert "--noise fresh of run 'run' cannot become seeded" in message
+    assert "noise fresh of run 'run' cannot become seeded" in message
     assert "noise is 'none'; use one of seeded, fresh" in shell.refuses(
         TRAIN, "--run-dir", "other", "--noise", "none"
     )

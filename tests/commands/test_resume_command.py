@@ -93,10 +93,10 @@ def test_to_the_goal_it_was_begun_for(shell: Shell, trained: Trained, tmp_path: 
     ("words", "says"),
     [
         (["--stage", "S9"], "unknown stage 'S9'"),
-        (["--stage", "S1", "--target", 0.9], "--rounds are for --stage auto"),
-        (["--target", 0.9], "--rounds are for --stage auto"),
+        (["--stage", "S1", "--target", 0.9], "rounds are for stage 'auto'"),
+        (["--target", 0.9], "rounds are for stage 'auto'"),
         (["--stage", "auto", "--target", 7], "target is 7.0"),
-        (["--stage", "auto", "--seed", 1], f"has --seed {SMALL.seed}, not 1"),
+        (["--stage", "auto", "--seed", 1], f"has seed {SMALL.seed}, not 1"),
     ],
 )
 def test_what_is_refused_is_not_remembered(

@@ -135,7 +135,7 @@ def test_a_run_is_not_trusted_by_its_file(trained: tuple[str, Path]) -> None:
     running = process(["cgtorch-evaluate", str(run)])
     _, err = running.communicate(timeout=120)
     assert running.returncode == 2
-    assert "if you trust it, add --domain" in err
+    assert "if you trust it, give it as domain (--domain" in err
     assert err.count("\n") == 1
 
 

@@ -410,7 +410,7 @@ def test_a_stage_that_finds_nothing_leaves_nothing(
     about["settings"].update(generations=1, attempts=2)
     (folder / "run.json").write_text(json.dumps(about))
     before = listing(folder)
-    with pytest.raises(NotImprovedError, match="raise --attempts") as caught:
+    with pytest.raises(NotImprovedError, match="raise attempts") as caught:
         train(Training(read_run(folder), lambda event: None, quietly), "S0")
     assert "\n" not in str(caught.value)
     assert listing(folder) == before

@@ -194,7 +194,7 @@ def test_without_time_or_rounds_nothing_is_begun(made: Made) -> None:
 
 def test_a_run_with_rounds_has_no_further_stages(made: Made) -> None:
     with pytest.raises(
-        RunError, match="cannot make a single stage any more; continue with --stage auto"
+        RunError, match="cannot make a single stage any more; continue with stage 'auto'"
     ):
         train(Training(made[0], ignore, quietly), "S0")
 
@@ -321,7 +321,7 @@ def test_rounds_on_tables_of_any_kind(wide: Made) -> None:
 
 
 def test_tables_of_any_kind_have_no_stages(wide: Made) -> None:
-    with pytest.raises(SettingsError, match="use --stage auto"):
+    with pytest.raises(SettingsError, match="use stage 'auto'"):
         train(Training(wide[0], ignore, quietly), "S0")
 
 

@@ -147,7 +147,7 @@ def test_an_exploration_that_is_killed_is_made_again_and_counted_once(
 
 
 def test_a_budget_that_does_not_cover_the_first_data_is_one_error(tmp_path: Path) -> None:
-    with pytest.raises(BudgetSpentError, match="budget of 3 motions is spent; raise --budget"):
+    with pytest.raises(BudgetSpentError, match="budget of 3 motions is spent; raise it"):
         explored(tmp_path / "run", motions=3)
     assert not (tmp_path / "run" / "start").exists()
 

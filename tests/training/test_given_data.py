@@ -89,7 +89,7 @@ def test_data_alone_have_to_be_enough(tmp_path: Path) -> None:
     assert same(given_data(run_with(tmp_path, few)), few)  # the run explores further
     with pytest.raises(DataError, match="the data have 9 transitions"):
         given_data(run_with(tmp_path, few, transitions=0))
-    with pytest.raises(SettingsError, match="--data is what Γ and C are learned from"):
+    with pytest.raises(SettingsError, match="Γ and C are learned from data"):
         given_data(run_with(tmp_path, few, models="none"))
 
 

@@ -35,7 +35,7 @@ def test_only_the_papers_table_has_stages() -> None:
     for scenarios in ("auto", "perimeter"):
         assert stages_to_make(replace(RUN, settings=RunSettings(scenarios=scenarios)), "S0")
     for other in ("general", "general-clutter"):
-        with pytest.raises(SettingsError, match=f"not {other}; use --stage auto"):
+        with pytest.raises(SettingsError, match=f"not {other}; use stage 'auto'"):
             stages_to_make(replace(RUN, settings=RunSettings(scenarios=other)), "S0")
 
 

@@ -201,7 +201,7 @@ def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
     what = "it is not in" if folders else f"the package {package!r} is in none of"
     raise RobotError(
         f"URDF {str(urdf)!r} names the file {name!r}, which is missing: {what} {_listed(looked)}; "
-        "give the folder that holds the package by --package-path or ROS_PACKAGE_PATH"
+        "give the folder that holds the package as packages (--package-path) or in ROS_PACKAGE_PATH"
     )
 
 
@@ -214,7 +214,7 @@ def _near(path: str, name: str, urdf: Path, places: Sequence[Path]) -> Path:
     if not any(found.is_relative_to(root) for root in roots):
         raise RobotError(
             f"URDF {str(urdf)!r} names the file {name!r}, which leads out of {_listed(roots)}: "
-            "move it there, or give its folder by --package-path"
+            "move it there, or give its folder as packages (--package-path)"
         )
     if not isfile(found):
         raise RobotError(

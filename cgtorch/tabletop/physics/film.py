@@ -92,7 +92,9 @@ def pictures_of(
         for renderer in camera.renderers.values():
             renderer.close()
     if not camera.pictures:
-        raise SettingsError(f"skill {skill.name!r} moves nothing on this scenario; try --seed 1")
+        raise SettingsError(
+            f"skill {skill.name!r} moves nothing on this scenario; try another one (--seed 1)"
+        )
     return end, camera.pictures
 
 

@@ -43,7 +43,7 @@ def mujoco() -> Any:
     if find_spec("mujoco") is None:
         raise SettingsError(
             "the world mujoco needs package 'mujoco'; pip install 'cgtorch[physics]', or use "
-            "--world kinematic"
+            "world 'kinematic' (--world kinematic)"
         )
     import mujoco as module
 
