@@ -34,8 +34,9 @@ from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.stored_run import StoredRun, planned_run, read_run, round_name, write_run
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import ENOUGH, act, train_until
-from cgtorch.training.context import Training, initial_progress
+from cgtorch.training.context import Training
 from cgtorch.training.evaluate import evaluate_skill
+from cgtorch.training.start import initial_progress
 from cgtorch.training.train import NotImprovedError, stage_generator, train
 
 FRESH_SEED = 9_000_001  # of the placements that skills are measured on

@@ -31,8 +31,9 @@ from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.stored_run import StoredRun, planned_run, write_run
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import train_until
-from cgtorch.training.context import Training, spent_of
+from cgtorch.training.context import Training
 from cgtorch.training.evaluate import evaluate_skill
+from cgtorch.training.start import spent_of
 from cgtorch.training.train import train
 
 FRESH_SEED = 9_000_001  # of the placements that skills are measured on

@@ -29,7 +29,8 @@ from cgtorch.runs.storage import (
 )
 from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.domain import Tabletop
-from cgtorch.training.context import Training, recall_spent
+from cgtorch.training.context import Training
+from cgtorch.training.start import recall_spent
 from cgtorch.training.train import finished_generations
 
 FILES = [

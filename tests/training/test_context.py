@@ -23,7 +23,8 @@ from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.simulation import Recording
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.settings import TabletopSettings
-from cgtorch.training.context import Training, initial_progress, recall_spent
+from cgtorch.training.context import Training
+from cgtorch.training.start import initial_progress, recall_spent
 
 RUN = StoredRun(Path("none"), RunSettings(), TABLE, paper_actions())
 START = Path("start") / "result.json"
