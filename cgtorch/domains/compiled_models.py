@@ -10,7 +10,7 @@ from cgtorch.ground.fields import KINDS, bounds_of, columns_of
 from cgtorch.native import agree, alike, constants, structure
 from cgtorch.simulation import CompiledModels, ModelEnvironment
 from cgtorch.simulation.model import anything
-from cgtorch.svm.compiled import LOG2E, machine_structure
+from cgtorch.svm.rbf import LOG2E, machine_structure
 
 
 def compiled_models(e: ModelEnvironment) -> CompiledModels | None:
@@ -31,7 +31,7 @@ def _structure(
     fields = *gamma.percept_fields, *gamma.control_fields
     angles = [columns_of(f, "angle") for f in (gamma.percept_fields, classifier.percept_fields)]
     machines, platt = (gamma.machine, classifier.machine), classifier.machine.platt
-    given = [x for m in machines for x in m._machine] + [
+    given = [x for m in machines for x in m.tensors] + [
         platt, gamma.mean, gamma.scale, gamma.most, gamma.shift, gamma.spread, gamma.learnt,
         classifier.mean, classifier.scale,
     ]  # fmt: skip
@@ -46,7 +46,7 @@ def _structure(
         or not bool(platt.isfinite().all())
     ):
         return None
-    known = [machine_structure(*machine._machine) for machine in machines]
+    known = [machine_structure(*machine.tensors) for machine in machines]
     if None in known or (known[0].k, known[1].k) != (e.percept_size, 1):
         return None
     dtype = e.percepts.dtype

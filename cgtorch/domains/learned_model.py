@@ -14,8 +14,8 @@ from torch import Tensor
 
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVC, SVR
-from cgtorch.svm.coreset import shrink_to_coreset
 from cgtorch.svm.machine import FittedModule
+from cgtorch.svm.reduced_set import shrink_to_coreset
 
 
 class LearnedModel(FittedModule, ABC):
@@ -74,7 +74,7 @@ class LearnedModel(FittedModule, ABC):
         """
         exact = self.checked(*rows)
         fresh = deepcopy(self).double().to(exact[0].device)
-        fresh.machine._check_fitted()
+        fresh.machine.check_fitted()
         fresh.widen(*exact)
         if bool(fresh.machine.cost.any()):  # else it says nothing, since nothing could be learnt
             features, target, tells = fresh.learnable(*exact)

@@ -14,9 +14,8 @@ from cgtorch.domains.learned_model import LearnedModel, mean_and_spread
 from cgtorch.domains.reports import Reliability, SuccessReport
 from cgtorch.ground.fields import Field, as_features
 from cgtorch.svm import SVC, doubling_sizes, grid_search, inputs, learning_values
-from cgtorch.svm.folds import stratified_folds, training_masks
+from cgtorch.svm.cross_validation import balanced_accuracy, stratified_folds, training_masks
 from cgtorch.svm.platt import fit_platt, probability
-from cgtorch.svm.scores import balanced_accuracy
 
 C_GRID = (1.0, 10.0, 100.0, 1000.0)
 GAMMA_GRID = (0.1, 0.3, 1.0, 3.0, 10.0)
@@ -59,7 +58,7 @@ class SuccessClassifier(LearnedModel):
 
     def features(self, percept: Tensor) -> Tensor:
         """The standardised features (..., F), the input of the machine."""
-        self.machine._check_fitted()
+        self.machine.check_fitted()
         made_of = f"a percept has {percept.shape[-1]} coordinates, which"
         return self.standardised(self.raw_features(percept.to(self.mean)), made_of)
 

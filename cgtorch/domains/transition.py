@@ -126,7 +126,7 @@ class TransitionModel(LearnedModel):
 
     def predict_in_torch(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
         """The result of `predict_with_novelty`, on any device and with gradients."""
-        self.machine._check_fitted()
+        self.machine.check_fitted()
         value, distance = self.machine.values_and_distance(self.features(percept, control))
         after = self.next_percept(percept, control, value.to(percept))
         return after, self.novelty_of(self.extremes(percept, control), distance).to(percept)

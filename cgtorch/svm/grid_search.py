@@ -15,10 +15,10 @@ from torch import Generator, Tensor
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.processes import in_processes, one_thread_each
 from cgtorch.svm import inputs
-from cgtorch.svm.folds import fold_numbers, training_masks
+from cgtorch.svm.cross_validation import fold_numbers, score_of, training_masks
 from cgtorch.svm.machine import KernelMachine, PerOutput
 from cgtorch.svm.problems import Problems, State, Targets, inside, relative_gap
-from cgtorch.svm.scores import score_of
+from cgtorch.svm.rbf import Gram
 from cgtorch.svm.solver import ROUGH, solve
 
 
@@ -62,19 +62,6 @@ class GridResult:
         return self.scores.mean(-1)
 
 
-@dataclass(frozen=True)
-class _Task:
-    """What all grid points share: rows (n, d), masks of training rows (F, n), folds (n,)."""
-
-    model: KernelMachine
-    rows: Tensor
-    targets: Targets
-    masks: Tensor
-    folds: Tensor
-    costs: tuple[float, ...]
-    tubes: tuple[float, ...]
-
-
 def grid_search(
     model: KernelMachine,
     x: Any,
@@ -115,54 +102,53 @@ def grid_search(
     # Nothing needs these numbers any more; what is drawn after them stays what a seed always gave.
     torch.randint(2**62, (len(widths),), generator=generator)
     masks = training_masks(numbers).to(rows.device)
-    task = _Task(model, rows, targets, masks, numbers, costs, tubes)
-    held_out, gap = _all_widths(task, widths)
-    held_out = targets.restored(held_out)
-    scores = torch.stack(
-        [score(held_out[..., ~mask], targets.y[:, ~mask]) for mask in masks], dim=-1
-    )
-    C_axis, gamma_axis, tube_axis = (
-        torch.tensor(axis, dtype=torch.float64).to(rows) for axis in (costs, widths, tubes)
-    )
-    best = _best(task, widths, scores)
-    return GridResult(C_axis, gamma_axis, tube_axis, scores, held_out, gap, numbers, best)
-
-
-def _all_widths(task: _Task, widths: Sequence[float]) -> tuple[Tensor, Tensor]:
-    """Values (G, E, N, K, n) and gaps (G, E, N, K), for any number of processes."""
     # The largest gammas, which have most support vectors, go first, so that no process ends late.
     order = sorted(range(len(widths)), key=lambda place: -widths[place])
 
     def work(number: int) -> tuple[Tensor, Tensor]:
-        return _solve_width(task, widths[order[number]], threads // processes)
+        gram = model.gram(rows, widths[order[number]], threads // processes)
+        return _solve_width(model, gram, targets, masks, costs, tubes)
 
     # The operations are short: torch's own threads would double the time.
     with one_thread_each() as threads:
-        most = inputs.MAX_MEMORY // inputs.memory(len(task.rows))
-        processes = min(threads, len(widths), most) if task.rows.device.type == "cpu" else 1
+        most = inputs.MAX_MEMORY // inputs.memory(len(rows))
+        processes = min(threads, len(widths), most) if rows.is_cpu else 1
         found = in_processes(work, len(widths), processes)
     in_order = [found[order.index(place)] for place in range(len(widths))]
-    held_out, gap = (torch.stack(part) for part in zip(*in_order, strict=True))
-    return held_out, gap
+    values, gap = (torch.stack(part) for part in zip(*in_order, strict=True))
+    held_out = targets.restored(values)
+    scores = torch.stack([score(held_out[..., ~m], targets.y[:, ~m]) for m in masks], dim=-1)
+    best = _best(costs, widths, tubes, scores.mean(-1))
+    axes = [torch.tensor(axis, dtype=torch.float64).to(rows) for axis in (costs, widths, tubes)]
+    return GridResult(axes[0], axes[1], axes[2], scores, held_out, gap, numbers, best)
 
 
-def _solve_width(task: _Task, width: float, threads: int) -> tuple[Tensor, Tensor]:
-    """Held-out values (E, N, K, n) in the solver's units, and largest relative gaps (E, N, K)."""
-    gram = task.model.gram(task.rows, width, threads)
-    by_fold = len(task.targets.y), len(task.masks)
-    place = task.folds.to(task.rows.device).expand(by_fold[0], 1, -1)
+def _solve_width(
+    model: KernelMachine,
+    gram: Gram,
+    targets: Targets,
+    masks: Tensor,
+    costs: Sequence[float],
+    tubes: Sequence[float],
+) -> tuple[Tensor, Tensor]:
+    """Held-out values (E, N, K, n) in the solver's units, and largest relative gaps (E, N, K).
+
+    The masks (F, n) are those of rows on which each fold trains.
+    """
+    by_fold = len(targets.y), len(masks)
+    place = (~masks).long().argmax(0).expand(by_fold[0], 1, -1)
     values, gaps = [], []
-    for tube in task.tubes:
+    for tube in tubes:
         before: tuple[Problems, State] | None = None
-        for cost in task.costs:
-            problems = task.model.problems(task.targets, task.masks, cost, tube)
+        for cost in costs:
+            problems = model.problems(targets, masks, cost, tube)
             start = scaled_start(*before, problems) if before else None
             found = solve(gram, problems, start, ROUGH)
             value = (found.product + found.bias[:, None]).unflatten(0, by_fold)
             values.append(value.gather(1, place).squeeze(1))
             gaps.append(relative_gap(problems, found).unflatten(0, by_fold).amax(1))
             before = problems, found
-    shape = len(task.tubes), len(task.costs)
+    shape = len(tubes), len(costs)
     return torch.stack(values).unflatten(0, shape), torch.stack(gaps).unflatten(0, shape)
 
 
@@ -188,12 +174,14 @@ def _axis(values: Any, name: str) -> tuple[float, ...]:
     return tuple(inputs.positive(value, name) for value in given)
 
 
-def _best(task: _Task, widths: Sequence[float], scores: Tensor) -> tuple[Choice, ...]:
-    """The best grid point of each output by scores (G, E, N, K, F)."""
+def _best(
+    costs: Sequence[float], widths: Sequence[float], tubes: Sequence[float], mean: Tensor
+) -> tuple[Choice, ...]:
+    """The best grid point of each output by mean scores (G, E, N, K)."""
     choices = []
-    for mean in scores.mean(-1).unbind(-1):
+    for scores in mean.unbind(-1):
         # torch.unravel_index imports sympy, which takes a second.
-        rest, n = divmod(int(mean.argmax()), mean.shape[2])
-        g, e = divmod(rest, mean.shape[1])
-        choices.append(Choice(task.costs[n], widths[g], task.tubes[e], float(mean[g, e, n])))
+        rest, n = divmod(int(scores.argmax()), len(costs))
+        g, e = divmod(rest, len(tubes))
+        choices.append(Choice(costs[n], widths[g], tubes[e], float(scores[g, e, n])))
     return tuple(choices)

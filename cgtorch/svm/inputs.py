@@ -1,7 +1,4 @@
-"""Input checks: training data as float64 tensors, and the memory that a fit needs.
-
-A DataError or SettingsError says which data or setting cannot be used.
-"""
+"""Input checks: training data as float64 tensors, and the memory that a fit needs."""
 
 import operator
 from collections.abc import Callable, Sequence
@@ -27,8 +24,7 @@ def as_tensor(values: Any, name: str) -> Tensor:
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         said = " ".join(str(error).split())[:200]
         raise DataError(f"{name} is not an array of numbers: {said}") from error
-    bad = int((~torch.isfinite(tensor)).sum())
-    if bad:
+    if bad := int((~torch.isfinite(tensor)).sum()):
         raise DataError(f"{name} has {bad} NaN or infinite values; remove those rows first")
     return tensor
 
@@ -71,9 +67,7 @@ def as_binary(values: Any, rows: int) -> tuple[Tensor, Tensor]:
 
 def as_given(result: Tensor, example: Any) -> Any:
     """`result` as numpy if `example` is not a tensor, else as it is."""
-    if isinstance(example, Tensor):
-        return result
-    return result.detach().cpu().numpy()
+    return result if isinstance(example, Tensor) else result.detach().cpu().numpy()
 
 
 def memory(rows: int) -> int:
@@ -95,6 +89,14 @@ def check_memory(rows: int) -> None:
         )
 
 
+def as_number(value: Any) -> float:
+    """`value` as a float, NaN if it is no number."""
+    try:
+        return float(value)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        return float("nan")
+
+
 def positive(value: Any, name: str) -> float:
     """`value` as a finite float above 0."""
     if not 0 < (number := as_number(value)) < float("inf"):
@@ -107,14 +109,6 @@ def not_negative(value: Any, name: str) -> float:
     if not 0 <= (number := as_number(value)) < float("inf"):
         raise SettingsError(f"{name} is {value!r:.80}; it must be 0 or a positive number")
     return number
-
-
-def as_number(value: Any) -> float:
-    """`value` as a float, NaN if it is no number."""
-    try:
-        return float(value)
-    except (TypeError, ValueError, RuntimeError, OverflowError):
-        return float("nan")
 
 
 def per_output(

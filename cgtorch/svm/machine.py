@@ -1,4 +1,4 @@
-"""The common base of SVC and SVR: the fit, the buffers, and the values.
+"""SVC and SVR, and their common base: the fit, the buffers, and the values.
 
 A classifier is a regression of signs without a tube, in which a coefficient can only have the sign
 of its row. So the two differ in their targets, the weights of rows, and the meaning of values.
@@ -14,10 +14,9 @@ from torch import Tensor, nn
 from cgtorch.ground.errors import DataError, ModelError
 from cgtorch.native import suits, threads
 from cgtorch.svm import inputs
-from cgtorch.svm.compiled import LOG2E, machine_values
-from cgtorch.svm.gram import Gram, resolve_gamma
+from cgtorch.svm.platt import probability
 from cgtorch.svm.problems import Problems, State, Targets, duality_gap
-from cgtorch.svm.rbf_predict import predict_rbf
+from cgtorch.svm.rbf import LOG2E, Gram, machine_values, predict_rbf, resolve_gamma
 from cgtorch.svm.solver import solve, start_at
 
 PerOutput: TypeAlias = float | Sequence[float]
@@ -59,7 +58,7 @@ class KernelMachine(FittedModule, ABC):
     cost: Tensor
 
     scoring: ClassVar[str]
-    """The default score, of `cgtorch.svm.scores`, for comparing models."""
+    """The default score, of `cgtorch.svm.cross_validation`, for comparing models."""
 
     def __init__(self, C: PerOutput, epsilon: PerOutput, gamma: str | float) -> None:
         super().__init__()
@@ -134,12 +133,9 @@ class KernelMachine(FittedModule, ABC):
         outputs, unit = len(targets.z), targets.unit
         C, epsilon = self.C if C is None else C, self.epsilon if epsilon is None else epsilon
         cap = inputs.per_output(C, "C", outputs).to(unit) / unit
-        tube = inputs.per_output(epsilon, "epsilon", outputs, inputs.not_negative).to(unit)
-        cap, tube = (x.repeat_interleave(len(masks)) for x in (cap, tube / unit))
-        z, width = (
-            targets.z.repeat_interleave(len(masks), 0),
-            cap[:, None] * masks.repeat(outputs, 1),
-        )
+        tube = inputs.per_output(epsilon, "epsilon", outputs, inputs.not_negative).to(unit) / unit
+        cap, tube, z = (x.repeat_interleave(len(masks), 0) for x in (cap, tube, targets.z))
+        width = cap[:, None] * masks.repeat(outputs, 1)
         if targets.classes is None:
             return Problems(z, -width, width, tube, cap)
         down, up = width * (z < 0), width * (z > 0)
@@ -162,34 +158,35 @@ class KernelMachine(FittedModule, ABC):
 
     def _values(self, x: Tensor, with_nearest: bool) -> tuple[Tensor, Tensor]:
         """Values (..., k) of x (..., d), and γ |x - c|² log2(e) (n,) of the nearest centres."""
-        self._check_fitted()
+        self.check_fitted()
         features = self.centres.shape[1]
         if x.shape[-1:] != (features,):
             given = x.shape[-1] if x.ndim else "no"
             raise DataError(f"a row has {given} features; the model was fitted on {features}")
         rows = x.reshape(-1, features).to(self.centres)
-        compiled = machine_values(rows, *self._machine) if suits(rows, *self._machine) else None
-        values, nearest = compiled or predict_rbf(rows, *self._machine, with_nearest)
+        compiled = machine_values(rows, *self.tensors) if suits(rows, *self.tensors) else None
+        values, nearest = compiled or predict_rbf(rows, *self.tensors, with_nearest)
         return values.reshape(*x.shape[:-1], values.shape[1]), nearest
 
     @property
-    def _machine(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def tensors(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Centres (m, d), weights (m, k), bias (k,) and gamma (), as for `machine_structure`."""
         return self.centres, self.weights, self.bias, self.gamma_value
 
-    def _check_fitted(self) -> None:
+    def check_fitted(self) -> None:
+        """ModelError before a fit."""
         if not self.fitted:
-            raise ModelError(
-                f"this {type(self).__name__} has not been fitted; call fit(x, y) first"
-            )
+            name = type(self).__name__
+            raise ModelError(f"this {name} has not been fitted; call fit(x, y) first")
 
     def _asked(self, x: Any) -> Tensor:
         """The input of a prediction: tensors as they are, anything else checked and converted."""
-        self._check_fitted()
+        self.check_fitted()
         return x if isinstance(x, Tensor) else inputs.as_tensor(x, "x").to(self.centres)
 
     def _start(self, gram: Gram, problems: Problems, unit: Tensor) -> State:
         """This machine as a start for a new fit, whose first rows are those of the last fit."""
-        self._check_fitted()
+        self.check_fitted()
         if len(self.bias) != len(problems.z) or int(self.support.max()) >= len(gram):
             raise DataError(
                 f"{len(gram)} rows with {len(problems.z)} outputs do not begin with those of the "
@@ -198,3 +195,107 @@ class KernelMachine(FittedModule, ABC):
         beta = torch.zeros_like(problems.z)
         beta[:, self.support] = self.weights.T.to(beta) / unit[:, None]
         return start_at(gram, problems, beta)
+
+
+class SVC(KernelMachine):
+    """Support vector classifier for two classes: the problem of libsvm's C-SVC.
+
+    For arguments see `KernelMachine`. Besides its buffers there are `classes` (2,) and the Platt
+    parameters `platt` (2,), NaN until they are set (`cgtorch.svm.platt.fit_platt`). Like
+    hyper-parameters, they are not changed by a fit.
+    """
+
+    classes: Tensor
+    platt: Tensor
+    scoring = "accuracy"
+
+    def __init__(self, C: float = 1.0, *, gamma: str | float = "scale") -> None:
+        super().__init__(C, 0.0, gamma)
+        self.register_buffer("classes", torch.tensor([0.0, 1.0], dtype=torch.float64))
+        self.register_buffer("platt", torch.full((2,), torch.nan, dtype=torch.float64))
+
+    def targets(self, y: Any, rows: Tensor) -> Targets:
+        """See `KernelMachine.targets`: signs of labels (n,)."""
+        classes, signs = inputs.as_binary(y, len(rows))
+        y, zero = signs.to(rows)[None], rows.new_zeros(1)
+        return Targets(y, y, zero, zero + 1, classes.to(rows), True)
+
+    def own_state(self, targets: Targets) -> dict[str, Tensor]:
+        """See `KernelMachine.own_state`."""
+        assert targets.classes is not None  # noqa: S101
+        return {"classes": targets.classes}
+
+    def decision_function(self, x: Any) -> Any:
+        """Signed decision values (...), positive for the second class."""
+        with torch.no_grad():
+            return inputs.as_given(self.values(self._asked(x))[..., 0], x)
+
+    def predict(self, x: Any) -> Any:
+        """The class (...) of each row."""
+        with torch.no_grad():
+            second = self.values(self._asked(x))[..., 0] > 0
+            return inputs.as_given(self.classes[second.long()], x)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Probability (...) of the second class for rows x (..., d), differentiable in x.
+
+        Errors are those of `KernelMachine.values`, and ModelError without Platt parameters.
+        """
+        decision = self.values(x)[..., 0]
+        # On a GPU nothing waits to see whether there are probabilities: they are NaN where not.
+        if self.platt.is_cpu and not bool(torch.isfinite(self.platt).all()):
+            raise ModelError("this SVC has no probabilities; set `platt`, as of `fit_platt`")
+        return probability(decision, self.platt[0], self.platt[1])
+
+
+class SVR(KernelMachine):
+    """Support vector regression: the problem of libsvm's epsilon-SVR for every output.
+
+    The outputs are solved together on one kernel matrix, and predict from the union of their
+    support vectors. For arguments see `KernelMachine`. Besides its buffers there are `tube` (k,),
+    the epsilon of each output, and `squeeze` (), whether targets were given as (n,).
+    """
+
+    squeeze: Tensor
+    tube: Tensor
+    scoring = "r2"
+
+    def __init__(
+        self, C: PerOutput = 1.0, *, gamma: str | float = "scale", epsilon: PerOutput = 0.1
+    ) -> None:
+        super().__init__(C, epsilon, gamma)
+        self.register_buffer("squeeze", torch.tensor(True))
+        self.register_buffer("tube", torch.zeros(1, dtype=torch.float64))
+
+    def targets(self, y: Any, rows: Tensor) -> Targets:
+        """See `KernelMachine.targets`: numbers (n,) or (n, k)."""
+        given = inputs.as_targets(y, len(rows)).to(rows)
+        y = given.reshape(len(given), -1).T.contiguous()
+        mean, spread = y.mean(1), y.std(1, correction=0)
+        unit = torch.exp2(spread.clamp_min(1e-300).log2().round())
+        # Where all targets are equal, there is only rounding left.
+        unit = torch.where(spread > 1e-12 * mean.abs(), unit, 1.0)
+        return Targets(y, (y - mean[:, None]) / unit[:, None], mean, unit, None, given.ndim == 1)
+
+    def own_state(self, targets: Targets) -> dict[str, Tensor]:
+        """See `KernelMachine.own_state`."""
+        tube = inputs.per_output(self.epsilon, "epsilon", len(targets.y), inputs.not_negative)
+        return {"tube": tube, "squeeze": torch.tensor(targets.single)}
+
+    def learn_on(self, x: Any, y: Any) -> Self:
+        """See `KernelMachine.learn_on`."""
+        self.epsilon = self.tube.tolist()
+        return super().learn_on(x, y)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Predictions (..., k), or (...) if fitted on targets (n,), differentiable in x.
+
+        Errors are those of `KernelMachine.values`.
+        """
+        values = self.values(x)
+        return values[..., 0] if bool(self.squeeze) else values
+
+    def predict(self, x: Any) -> Any:
+        """Predictions for rows x (..., d), numpy for numpy."""
+        with torch.no_grad():
+            return inputs.as_given(self(self._asked(x)), x)

@@ -9,10 +9,6 @@ from torch import Tensor
 
 from cgtorch.ground.numerics import sigmoid
 
-_MAX_STEPS = 100
-_SMALLEST_RIDGE = 1e-12
-_SMALLEST_STEP = 1e-10
-
 
 def probability(decision: Tensor, slope: Tensor, offset: Tensor) -> Tensor:
     """P(positive | decision) = 1 / (1 + exp(slope decision + offset)), any shape.
@@ -42,17 +38,17 @@ def fit_platt(decision: Tensor, signs: Tensor) -> tuple[Tensor, Tensor]:
     start = torch.log(torch.tensor((n_negative + 1) / (n_positive + 1), dtype=torch.float64))
     theta = torch.stack([torch.zeros_like(start), start]).to(f.device)
     loss = _loss(columns @ theta, target)
-    for _ in range(_MAX_STEPS):
+    for _ in range(100):
         p = sigmoid(-(columns @ theta))
         gradient = columns.T @ (target - p)
         if float(gradient.abs().max()) < 1e-9 * len(f):
             break
         hessian = columns.T @ (columns * (p * (1 - p))[:, None])
-        hessian.diagonal().add_(_SMALLEST_RIDGE)
+        hessian.diagonal().add_(1e-12)
         step = -torch.linalg.solve(hessian, gradient)
         slope = float(gradient @ step)
         size = 1.0
-        while size > _SMALLEST_STEP:
+        while size > 1e-10:
             attempt = theta + size * step
             value = _loss(columns @ attempt, target)
             if float(value) < float(loss) + 1e-4 * size * slope:

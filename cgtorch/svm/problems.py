@@ -59,7 +59,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class Problems(Batch):
-    """A batch of P dual problems over the same n rows: targets z (P, n) and costs `cap` (P,).
+    """P dual problems over the same n rows: targets z (P, n) and costs `cap` (P,).
 
     The boxes reach from `lower` (P, n), at most 0, to `upper` (P, n), at least 0. The half widths
     of the tubes are `epsilon` (P,).
@@ -87,6 +87,12 @@ class State(Batch):
     violation: Tensor
 
 
+def at_zero(problems: Problems) -> State:
+    """The start at zero."""
+    zero, unknown = torch.zeros_like(problems.z), torch.full_like(problems.cap, torch.inf)
+    return State(zero, zero.clone(), torch.zeros_like(unknown), unknown)
+
+
 def inside(problems: Problems, beta: Tensor) -> Tensor:
     """Coefficients (..., n) clipped to their boxes."""
     return torch.minimum(torch.maximum(beta, problems.lower), problems.upper)
@@ -104,12 +110,6 @@ def feasible(problems: Problems, beta: Tensor) -> Tensor:
     room = (result > problems.lower) & (result < problems.upper)
     lack = result.sum(-1, keepdim=True) / room.sum(-1, keepdim=True).clamp_min(1)
     return inside(problems, torch.where(room, result - lack, result))
-
-
-def at_zero(problems: Problems) -> State:
-    """The start at zero."""
-    zero, unknown = torch.zeros_like(problems.z), torch.full_like(problems.cap, torch.inf)
-    return State(zero, zero.clone(), torch.zeros_like(unknown), unknown)
 
 
 def violation(problems: Problems, beta: Tensor, residual: Tensor) -> Tensor:
@@ -148,7 +148,7 @@ def relative_gap(problems: Problems, found: State) -> Tensor:
 def middle_bias(problems: Problems, found: State) -> Tensor:
     """Biases (P,), in the middle of the optimal ones if not unique (Chang & Lin 2011, 4.1.5)."""
     beta, box = found.beta, torch.maximum(problems.upper, -problems.lower) * 1e-9
-    inside = (beta < problems.upper - box) & (beta > problems.lower + box) & (beta.abs() > box)
+    free = (beta < problems.upper - box) & (beta > problems.lower + box) & (beta.abs() > box)
     width = problems.epsilon[:, None]
     gradient = problems.z - found.product
     rise = gradient - torch.where(beta >= -box, width, -width)
@@ -156,4 +156,4 @@ def middle_bias(problems: Problems, found: State) -> Tensor:
     low = rise.masked_fill(beta >= problems.upper - box, -torch.inf).amax(1)
     high = fall.masked_fill(beta <= problems.lower + box, torch.inf).amin(1)
     middle = (low + high) / 2
-    return torch.where(inside.any(1) | ~torch.isfinite(middle), found.bias, middle)
+    return torch.where(free.any(1) | ~torch.isfinite(middle), found.bias, middle)

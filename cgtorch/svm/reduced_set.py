@@ -1,7 +1,13 @@
-"""Reduced sets: a machine with fewer centres and nearly the same values.
+"""Smaller machines: fewer centres with nearly the same values, or fewer training rows.
 
-Pivoted Cholesky decomposition (Fine & Scheinberg 2001) greedily picks the centres that the others
-explain least. Their weights are fitted to the exact model's values by QR decomposition.
+A reduced set has the centres that pivoted Cholesky decomposition (Fine & Scheinberg 2001) greedily
+picks as those that the others explain least. Their weights are fitted to the exact model's values
+by QR decomposition.
+
+A coreset is what is kept of too many training rows. A dual solution does not change if rows that
+are not support vectors are left out, so these are kept. The remaining places go to the rows
+farthest from all kept ones (the greedy k-centre of Gonzalez 1985): no omitted row is then farther
+from a kept one than twice the optimum for as many rows.
 """
 
 from copy import deepcopy
@@ -11,32 +17,14 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import SettingsError
-from cgtorch.svm.gram import rbf
 from cgtorch.svm.inputs import as_rows
 from cgtorch.svm.machine import KernelMachine
+from cgtorch.svm.rbf import rbf
 
 Machine = TypeVar("Machine", bound=KernelMachine)
 
 _FLOOR = 1e-12  # below which the rest is rounding
 _RIDGES = tuple(10.0**-power for power in range(1, 11))
-
-
-def pivots(x: Tensor, gamma: float, count: int) -> Tensor:
-    """Indices (at most count,) of rows x (n, d), picked by pivoted Cholesky decomposition."""
-    rest = x.new_ones(len(x))
-    factor, chosen = rest.new_zeros(count, len(x)), []
-    for step in range(min(count, len(x))):
-        pivot = int(rest.argmax())
-        largest = float(rest[pivot])
-        if largest <= _FLOOR:
-            break
-        column = rbf(x[pivot : pivot + 1], x, gamma)[0]
-        row = torch.addmv(column, factor[:step].T, factor[:step, pivot], alpha=-1)
-        factor[step] = row / largest**0.5
-        rest = (rest - factor[step] ** 2).clamp_min_(0)
-        rest[pivot] = 0
-        chosen.append(pivot)
-    return torch.tensor(chosen, dtype=torch.long, device=x.device)
 
 
 def fit_reduced_set(machine: Machine, centres: int, x: Tensor) -> Machine:
@@ -48,7 +36,7 @@ def fit_reduced_set(machine: Machine, centres: int, x: Tensor) -> Machine:
     parameters. ModelError if the machine is not fitted, SettingsError for less than one centre or
     fewer rows.
     """
-    machine._check_fitted()
+    machine.check_fitted()
     rows = as_rows(x).to(machine.centres.device)
     if centres < 1 or len(rows) < 8:
         raise SettingsError(
@@ -77,12 +65,76 @@ def fit_reduced_set(machine: Machine, centres: int, x: Tensor) -> Machine:
     return smaller
 
 
+def pivots(x: Tensor, gamma: float, count: int) -> Tensor:
+    """Indices (at most count,) of rows x (n, d), picked by pivoted Cholesky decomposition."""
+    rest = x.new_ones(len(x))
+    factor, chosen = rest.new_zeros(count, len(x)), []
+    for step in range(min(count, len(x))):
+        pivot = int(rest.argmax())
+        largest = float(rest[pivot])
+        if largest <= _FLOOR:
+            break
+        column = rbf(x[pivot : pivot + 1], x, gamma)[0]
+        row = torch.addmv(column, factor[:step].T, factor[:step, pivot], alpha=-1)
+        factor[step] = row / largest**0.5
+        rest = (rest - factor[step] ** 2).clamp_min_(0)
+        rest[pivot] = 0
+        chosen.append(pivot)
+    return torch.tensor(chosen, dtype=torch.long, device=x.device)
+
+
 def _least_squares(design: Tensor, truth: Tensor, ridge: float) -> Tensor:
     """Ridge regression (m, k) of `truth` (n, k) on `design` (n, m), by QR of the stacked system."""
     size = design.shape[1]
     penalty = (ridge * len(design) ** 0.5) * torch.eye(size).to(design)
     penalty[-1, -1] = 0
-    stacked = torch.cat([design, penalty])
-    q, r = torch.linalg.qr(stacked)
+    q, r = torch.linalg.qr(torch.cat([design, penalty]))
     right = torch.cat([truth, truth.new_zeros(size, truth.shape[1])])
     return torch.linalg.solve_triangular(r, q.T @ right, upper=True)
+
+
+def coreset(rows: Tensor, keep: Tensor, limit: int) -> Tensor:
+    """Indices, ascending, of at most `limit` of the rows (n, d).
+
+    Rows in `keep` (n,) bool, such as support vectors, come first. If they are more than the limit,
+    the same choice is made among them. SettingsError for a limit below 1.
+    """
+    if limit < 1:
+        raise SettingsError(f"the coreset's limit is {limit}; keep at least 1 row")
+    everything = torch.arange(len(rows), device=rows.device)
+    if len(rows) <= limit:
+        return everything
+    chosen, pool = everything[keep], everything[~keep]
+    if len(chosen) > limit:
+        chosen, pool = everything[:0], chosen
+    more = _farthest_first(rows[pool], rows[chosen], limit - len(chosen))
+    return torch.cat([chosen, pool[more]]).sort().values
+
+
+def _farthest_first(rows: Tensor, covered: Tensor, count: int) -> Tensor:
+    """Indices (count,) of rows (n, d), each farthest from `covered` (m, d) and the rows before."""
+    if len(covered):
+        nearest = torch.cdist(rows, covered).amin(1)
+    else:
+        nearest = -(rows - rows.mean(0)).norm(dim=1)
+    chosen = []
+    for _ in range(count):
+        pick = int(nearest.argmax())
+        chosen.append(pick)
+        distance = (rows - rows[pick]).norm(dim=1)
+        first = len(chosen) == 1 and not len(covered)
+        nearest = distance if first else torch.minimum(nearest, distance)
+        nearest[pick] = -torch.inf
+    return torch.tensor(chosen, dtype=torch.long, device=rows.device)
+
+
+def shrink_to_coreset(machine: KernelMachine, features: Tensor, limit: int) -> Tensor:
+    """Keep at most `limit` training rows (n, d) of a machine, in place; ascending indices (m,)."""
+    keep = torch.zeros(len(features), dtype=torch.bool, device=features.device)
+    keep[machine.support] = True
+    chosen = coreset(features, keep, limit)
+    place = torch.searchsorted(chosen, machine.support).clamp_max(len(chosen) - 1)
+    kept = chosen[place] == machine.support
+    machine.support = place[kept]
+    machine.centres, machine.weights = machine.centres[kept], machine.weights[kept]
+    return chosen

@@ -3,8 +3,7 @@
 Fan, Chen & Lin, "Working set selection using second order information for training support vector
 machines", JMLR 6 (2005), WSS 2, on the doubled form of Chang & Lin (2011, eq. 11): each coefficient
 is the difference of two in [0, upper] and [0, -lower]. It converges for every positive semidefinite
-kernel from every feasible start. The plain code is slow. It serves as the reference of the tests,
-and runs without a compiler.
+kernel from every feasible start. The plain code is slow, and runs where there is no compiler.
 """
 
 import numpy as np
@@ -29,9 +28,9 @@ def compiled_smo_steps(
 ) -> State | None:
     """Continue P problems until they are solved or have cost too much; None without a compiler.
 
-    Like `smo_steps`, but with a matrix of `cgtorch.svm.gram.Gram`, whose type is that of the steps
-    (gradients are in double precision in any case). A problem ends after `worth` kernel values; a
-    thousand million take about a quarter of a second. Threads change no result.
+    The matrix is one of `cgtorch.svm.rbf.Gram`, whose type is that of the steps; gradients are in
+    double precision. A problem ends after `worth` kernel values; a thousand million take about a
+    quarter of a second. Threads change no result.
     """
     call = function("smo_problems", matrix.dtype)
     if call is None:
@@ -61,11 +60,12 @@ def smo_steps(
     matrix: Array = kernel.numpy()
     found = start.take(torch.arange(len(start.bias)))
     for number in range(len(start.bias)):
-        z, lower, upper, epsilon, _ = (x.numpy() for x in vars(problems.take(number)).values())
-        beta, one = found.beta[number].numpy(), torch.tensor([number])
-        gradient, aim, solved = found.product[number].numpy() - z, tolerance, False
+        one = torch.tensor([number])
+        beta, aim, solved = found.beta[number].numpy(), tolerance, False
+        z = problems.z[number].numpy()
+        gradient = found.product[number].numpy() - z
         while not solved:
-            end = _solve(matrix, lower, upper, float(epsilon), beta, gradient, aim, most)
+            end = _solve(matrix, problems.take(number), beta, gradient, aim, most)
             found.product[number] = torch.from_numpy(gradient + z)
             found.bias[number], found.violation[number] = end
             gap = float(relative_gap(problems.take(one), found.take(one)))
@@ -75,16 +75,10 @@ def smo_steps(
 
 
 def _solve(
-    matrix: Array,
-    lower: Array,
-    upper: Array,
-    epsilon: float,
-    beta: Array,
-    gradient: Array,
-    tolerance: float,
-    most: int,
+    matrix: Array, problem: Problems, beta: Array, gradient: Array, tolerance: float, most: int
 ) -> tuple[float, float]:
     """Solve one problem in place; the bias, in the middle of optimal ones, and the violation."""
+    lower, upper, epsilon = problem.lower.numpy(), problem.upper.numpy(), float(problem.epsilon)
     diagonal = matrix.diagonal()
     for step_number in range(most + 1):
         # What a step up of each coefficient gains, and what a step down costs.

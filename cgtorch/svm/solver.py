@@ -1,9 +1,8 @@
 """Solving batches of the dual problems of C-SVC and epsilon-SVR (`cgtorch.svm.problems`).
 
-Sequential minimal optimisation (compiled, or plain without a compiler) solves most of them. With
-large costs and many free coefficients, or for an exact solution, it would take millions of steps.
-So runs of it alternate with exact steps from their statuses (`cgtorch.svm.polish`). The runs get
-longer and longer, and the last one has no limit.
+Sequential minimal optimisation solves most of them. With large costs and many free coefficients, or
+for an exact solution, it would take millions of steps. So runs of it, longer and longer, alternate
+with exact steps from their statuses (`polish`). The last run has no limit.
 """
 
 from dataclasses import replace
@@ -12,14 +11,21 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import ModelError
-from cgtorch.svm.gram import Gram
-from cgtorch.svm.polish import polish
-from cgtorch.svm.problems import Problems, State, at_zero, feasible, middle_bias, relative_gap
+from cgtorch.svm.problems import (
+    Problems,
+    State,
+    at_zero,
+    feasible,
+    inside,
+    middle_bias,
+    relative_gap,
+    violation,
+)
+from cgtorch.svm.rbf import Gram
 from cgtorch.svm.smo import compiled_smo_steps, smo_steps
 
 EXACT = 1.25e-8
 """The tolerance of a final fit: a relative duality gap of about 1e-7."""
-
 ROUGH = 1e-3
 """The tolerance where scores are compared, as libsvm's default."""
 
@@ -27,16 +33,18 @@ _WORTH = 1 / 80, 5e6
 """Kernel values of the first run: a share of n^3, as the cost of a factor, and a constant."""
 _TURNS = 4  # each twice as long as the one before, to a tenth of its violation
 _ENDLESS = 2e7  # steps of the last one
-_ROUNDING = 1e-12  # of C, below which no violation can be told
+_LEAST = 1e-12  # of C, below which no violation can be told
 _OFF = 0.01  # relative duality gap of what has not been solved
+_STEPS = 12  # of Newton's method
+_ROUNDING = 0.8  # of the tolerance, by which a ridge may move residuals
+_SPARSE = 4  # where fewer than one coefficient in so many is not zero, the others are left out
 
 
 def start_at(gram: Gram, problems: Problems, beta: Tensor) -> State:
     """A start at the feasible point nearest to coefficients (P, n)."""
-    start = at_zero(problems)
     beta = feasible(problems, beta)
     product = (beta.cpu() @ gram.matrix).to(beta)
-    return State(beta, product, start.bias, start.violation)
+    return replace(at_zero(problems), beta=beta, product=product)
 
 
 def solve(
@@ -50,19 +58,22 @@ def solve(
     device, cpu = problems.z.device, torch.device("cpu")
     problems, left = problems.to(cpu), torch.arange(len(problems.z))
     found = at_zero(problems) if start is None else start.to(cpu).take(left)  # a copy
-    tolerance = max(tolerance, _ROUNDING * float(problems.cap.max()))
+    tolerance = max(tolerance, _LEAST * float(problems.cap.max()))
     for turn in range(_TURNS + 1):
         part = problems.take(left)
         here = _smo(gram, part, found.take(left), tolerance, turn)
         rest = (here.violation > tolerance).nonzero().flatten()
         if turn < _TURNS and len(rest):
-            _polish(gram, part, here, rest, tolerance)
+            here.product[rest] = here.beta[rest] @ gram.matrix
+            for row in rest.tolist():
+                exact = polish(gram.matrix, part.take(row), here.take(row), tolerance)
+                if exact is not None:
+                    here.put(row, exact)
         found.put(left, here)
         left = left[here.violation > tolerance]
         if len(left) == 0:
             break
-    if len(left):
-        _check(problems.take(left), found.take(left))
+    _check(problems.take(left), found.take(left))
     return replace(found, bias=middle_bias(problems, found)).to(device)
 
 
@@ -76,15 +87,6 @@ def _smo(gram: Gram, problems: Problems, start: State, tolerance: float, turn: i
     return found or smo_steps(gram.matrix, problems, start, aim, int(worth / n))
 
 
-def _polish(gram: Gram, problems: Problems, found: State, rows: Tensor, tolerance: float) -> None:
-    """Write the results of exact steps for problems `rows` (R,), and exact products, in place."""
-    found.product[rows] = found.beta[rows] @ gram.matrix
-    for row in rows.tolist():
-        exact = polish(gram.matrix, problems.take(row), found.take(row), tolerance)
-        if exact is not None:
-            found.put(row, exact)
-
-
 def _check(problems: Problems, found: State) -> None:
     """ModelError if problems are far from solved."""
     gap = relative_gap(problems, found)
@@ -94,3 +96,125 @@ def _check(problems: Problems, found: State) -> None:
             f"{float(gap.max()):.2g}; scale the features, lower C, or check that the kernel is "
             "positive semidefinite"
         )
+
+
+def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) -> State | None:
+    """The exact solution of a single problem, without the axis of problems, or None.
+
+    This is a primal-dual active set method (Hintermueller, Ito & Kunisch 2003), from a solution
+    whose statuses are nearly right. Free coefficients solve their equations with a small ridge h.
+    Those that leave their boxes become bound, and bound ones on the wrong side become free. The
+    ridge rounds the corners of the loss over a width h C (Chapelle 2007), so that a residual r
+    determines the coefficient soft(r, epsilon) / h, clipped to its box. None if the number of
+    changes grows.
+
+    The status of a coefficient is -2 or 2 on a bound, 0 at zero, and -1 or 1 if it is free below or
+    above zero. The kernel matrix (n, n) must be positive semidefinite, and the start feasible. A
+    solution violates no condition by more than the tolerance.
+    """
+    beta, bias, z = start.beta, start.bias, problem.z
+    h = _ROUNDING * tolerance / torch.maximum(problem.upper, -problem.lower).max()
+    residual = z - start.product - bias
+    status = beta.sign() * (1 + ((beta >= problem.upper) | (beta <= problem.lower)).to(beta))
+    before = len(z)
+    for _ in range(_STEPS):
+        status = _with_pivot(problem, h, residual, status)
+        step = _step(kernel, problem, h, beta, residual, status)
+        if step is None:
+            return None
+        d, shift, move = step
+        beta, bias, residual = beta + d, bias + shift, residual - move - shift
+        new = _changed(problem, h, beta, residual, status)
+        flips = int((new != status).sum())
+        fitting = inside(problem, beta)
+        wrong = violation(problem, fitting, residual)
+        if flips == 0 and bool(wrong <= tolerance):
+            return State(fitting, z - residual - bias, bias, wrong)
+        if flips > before:
+            return None
+        status, before = new, flips
+    return None
+
+
+def _step(
+    kernel: Tensor, problem: Problems, h: Tensor, beta: Tensor, residual: Tensor, status: Tensor
+) -> tuple[Tensor, Tensor, Tensor] | None:
+    """Newton step of the coefficients (n,) and the bias (), and its product with K (n,).
+
+    Bound coefficients go to their bounds. The free ones solve (K_FF + h) d + shift = right with
+    coefficients that sum to 0. None if K is not positive definite.
+    """
+    free = (status.abs() == 1).nonzero().flatten()
+    bounds = (status == 2) * problem.upper + (status == -2) * problem.lower
+    d = (bounds - beta).index_fill_(0, free, 0)
+    outer = _product(kernel, d)
+    right = (residual - h * beta - problem.epsilon * status.sign() - outer)[free]
+    matrix = kernel.index_select(0, free).index_select(1, free)
+    matrix.diagonal().add_(h)
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    if int(info):
+        return None
+    columns = torch.stack([right, torch.ones_like(right)], 1)
+    u, v = torch.cholesky_solve(columns, factor).unbind(1)
+    shift = (u.sum() + (beta + d).sum()) / v.sum()
+    inner = torch.zeros_like(d).index_copy_(0, free, u - shift * v)
+    return d + inner, shift, outer + _product(kernel, inner)
+
+
+def _product(kernel: Tensor, d: Tensor) -> Tensor:
+    """K d (n,) for coefficients of which often few are not zero."""
+    rows = d.nonzero().flatten()
+    if _SPARSE * len(rows) > len(d):
+        return kernel @ d
+    return d[rows] @ kernel[rows]
+
+
+def _asked(problem: Problems, h: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
+    """The coefficients (n,) that residuals determine, and their statuses."""
+    width = problem.epsilon
+    value = (residual - torch.clamp(residual, -width, width)) / h
+    clipped = inside(problem, value)
+    return clipped, _statuses(value, clipped)
+
+
+def _statuses(value: Tensor, clipped: Tensor) -> Tensor:
+    """Statuses (n,) of coefficients before and after clipping them to their boxes."""
+    return clipped.sign() * (2 - (value == clipped).to(value))
+
+
+def _with_pivot(problem: Problems, h: Tensor, residual: Tensor, status: Tensor) -> Tensor:
+    """Statuses (n,) with one coefficient freed if none is free, as the bias needs an equation.
+
+    The sum of the coefficients determines the direction of the bias. The first coefficient that
+    leaves its bound in this direction becomes free.
+    """
+    if bool((status.abs() == 1).any()):
+        return status
+    r, width, upper, lower = residual, problem.epsilon, problem.upper, problem.lower
+    if bool(_asked(problem, h, residual)[0].sum() > 0):
+        distance = torch.where(status == 2, r - width - h * upper, torch.inf)
+        distance = torch.where((status == 0) & (lower < 0), r + width, distance)
+        side = -1.0
+    else:
+        distance = torch.where(status == -2, h * lower - width - r, torch.inf)
+        distance = torch.where((status == 0) & (upper > 0), width - r, distance)
+        side = 1.0
+    pivot = int(distance.clamp_min(0).argmin())
+    status = status.clone()
+    status[pivot] = status[pivot].sign() if bool(status[pivot]) else side
+    return status
+
+
+def _changed(
+    problem: Problems, h: Tensor, beta: Tensor, residual: Tensor, status: Tensor
+) -> Tensor:
+    """Statuses (n,) after a step.
+
+    Free coefficients out of their box become bound. Bound ones on the wrong side become free. For
+    free coefficients, residuals are not tested, as they are only rounding errors.
+    """
+    bound = _statuses(beta, inside(problem, beta))
+    bound = bound * (status * bound >= 0)  # from one side to the other only by way of zero
+    asked = _asked(problem, h, residual)[1]
+    freed = torch.where(status == 0, asked, status).sign()
+    return torch.where(status.abs() == 1, bound, torch.where(asked == status, status, freed))

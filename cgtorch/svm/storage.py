@@ -12,9 +12,7 @@ from torch import Tensor, nn
 
 from cgtorch.ground.errors import ModelError
 from cgtorch.ground.files import notes_of, read_bytes, tensors_of, write_bytes
-from cgtorch.svm.machine import KernelMachine
-from cgtorch.svm.svc import SVC
-from cgtorch.svm.svr import SVR
+from cgtorch.svm.machine import SVC, SVR, KernelMachine
 
 VERSION = 3
 MAX_BYTES = 1024**3
@@ -34,30 +32,24 @@ _MAY_BE_INFINITE = ("platt", "gap")
 
 
 def _machine(model: Model) -> tuple[str, KernelMachine]:
-    """The machine of a model, and the prefix of the names of its buffers."""
-    place, machine = (
-        ("", model) if isinstance(model, KernelMachine) else ("machine.", model.machine)
-    )
-    assert isinstance(machine, KernelMachine)  # noqa: S101  nothing else is made here
-    return place, machine
+    """The prefix of the names of a machine's buffers in a model, and the machine."""
+    if isinstance(model, KernelMachine):
+        return "", model
+    assert isinstance(model.machine, KernelMachine)  # noqa: S101  nothing else is made here
+    return "machine.", model.machine
 
 
 def save_model(path: str | Path, model: Model, report: Any = None) -> None:
-    """Write a machine, or a model around one such as Γ or C, and a report of its fit to one file.
+    """Write a model and a report of its fit, a dataclass or JSON value, to one file.
 
-    The report is a dataclass or JSON value. An existing file is replaced only when the new one is
-    complete. ModelError if it cannot be written, or the model is not fitted.
+    An existing file is replaced only when the new one is complete. ModelError if it cannot be
+    written, or the model is not fitted.
     """
-    _machine(model)[1]._check_fitted()
+    _machine(model)[1].check_fitted()
     if is_dataclass(report) and not isinstance(report, type):
         report = asdict(report)
-    header = {
-        "format": "cgtorch-model",
-        "version": VERSION,
-        "kind": type(model).__name__,
-        "settings": _SETTINGS,
-        "report": report,
-    }
+    header = {"format": "cgtorch-model", "version": VERSION, "kind": type(model).__name__}
+    header |= {"settings": _SETTINGS, "report": report}
     state = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
     data = save(state, metadata={"cgtorch": json.dumps(header)})
     write_bytes(path, data, ModelError)
@@ -143,8 +135,5 @@ def _wrong(name: str, value: Tensor, expected: Tensor) -> str:
         return "NaN or infinite values"
     if value.ndim != expected.ndim:
         return f"shape {tuple(value.shape)}"
-    if (name in _POSITIVE and bool((value <= 0).any())) or (
-        name == "support" and bool((value < 0).any())
-    ):
-        return "values that it cannot have"
-    return ""
+    low = (value <= 0) if name in _POSITIVE else (value < 0) & (name == "support")
+    return "values that it cannot have" if bool(low.any()) else ""

@@ -8,7 +8,7 @@ import sklearn.svm
 import torch
 
 from cgtorch.ground.errors import DataError, ModelError, SettingsError
-from cgtorch.svm import SVC, SVR, grid_search
+from cgtorch.svm import SVC, SVR
 
 RNG = np.random.default_rng(0)
 X = RNG.standard_normal((40, 3))
@@ -161,14 +161,6 @@ def test_kinds_of_input_come_back_in_kind():
     assert words.classes.tolist() == [-2, 5]
 
 
-def test_the_global_state_of_torch_is_left_alone():
-    torch.manual_seed(3)
-    before = torch.get_rng_state(), torch.get_num_threads(), torch.get_default_dtype()
-    grid_search(SVC(), X, Y, C=[1.0], gamma=[1.0])
-    assert torch.equal(before[0], torch.get_rng_state())
-    assert before[1:] == (torch.get_num_threads(), torch.get_default_dtype())
-
-
 def test_forward_is_differentiable():
     model = SVR(2.0, gamma=0.4).fit(X, np.stack([X[:, 0] ** 2, X[:, 1]], 1))
     x = torch.tensor(X[:4], requires_grad=True)
@@ -177,15 +169,12 @@ def test_forward_is_differentiable():
     assert torch.autograd.gradcheck(chance, (x,))
 
 
-def test_chunks_and_gradient_path_agree():
+def test_values_are_those_of_the_definition():
     model = SVR(5.0, gamma=0.4).fit(X, np.stack([X[:, 0] ** 2, X[:, 1], X[:, 2]], 1))
     rows = torch.randn(5000, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    whole = model(rows.clone().requires_grad_())
-    assert torch.allclose(model(rows), whole, atol=1e-12)
     plain = torch.exp(-0.4 * torch.cdist(rows, model.centres).square()) @ model.weights + model.bias
     assert torch.allclose(model(rows), plain, atol=1e-9)
-    single = model.float()
-    assert torch.allclose(single(rows.float()).double(), plain, atol=1e-4)
+    assert torch.allclose(model.float()(rows.float()).double(), plain, atol=1e-4)
     assert model(rows[:0]).shape == (0, 3)
 
 

@@ -1,20 +1,22 @@
-"""Which centres a smaller machine keeps, and what it says of its loss."""
+"""Smaller machines: which centres and which training rows they keep, and what that loses."""
+
+from itertools import combinations
 
 import pytest
 import torch
+from dual_problems import rows
+from hypothesis import given
+from hypothesis import strategies as st
+from support import seeded
 
 from cgtorch.ground.errors import SettingsError
 from cgtorch.svm import SVR, fit_reduced_set
-from cgtorch.svm.gram import rbf
-from cgtorch.svm.reduced_set import pivots
-
-
-def _rows(count: int) -> torch.Tensor:
-    return torch.randn(count, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+from cgtorch.svm.rbf import rbf
+from cgtorch.svm.reduced_set import coreset, pivots
 
 
 def test_each_centre_is_the_row_that_those_before_explain_least() -> None:
-    x = _rows(200)
+    x = rows(0, 200)[:, :3]
     matrix = rbf(x, x, 0.05)
     chosen = pivots(x, 0.05, 40).tolist()
     assert len(set(chosen)) == 40
@@ -27,19 +29,47 @@ def test_each_centre_is_the_row_that_those_before_explain_least() -> None:
 
 
 def test_what_is_explained_already_is_not_chosen() -> None:
-    x = _rows(10)[torch.arange(60) % 10]
-    assert len(pivots(x, 0.5, 60)) == 10
+    assert len(pivots(rows(0, 10)[torch.arange(60) % 10], 0.5, 60)) == 10
 
 
 def test_more_centres_lose_less() -> None:
-    x = _rows(400)
+    x = rows(0, 400)[:, :3]
     machine = SVR(5.0, gamma=0.3, epsilon=0.01).fit(x[:300], (2 * x[:300, 0]).sin())
     losses = []
     for centres in (10, 30, 90):
         small = fit_reduced_set(machine, centres, x)
         assert len(small.centres) == centres
-        error = (small.predict(x) - machine.predict(x)).abs()
-        losses.append(float(error[3::4].mean()))
+        losses.append(float((small.predict(x) - machine.predict(x)).abs()[3::4].mean()))
     assert losses == sorted(losses, reverse=True)
     with pytest.raises(SettingsError, match="8 rows"):
         fit_reduced_set(machine, 4, x[:7])
+
+
+@given(st.integers(1, 40), st.integers(1, 45), st.integers(0, 2**31))
+def test_which_rows_stay(count: int, limit: int, seed: int) -> None:
+    x = torch.randn(count, 3, generator=seeded(seed))
+    keep = torch.rand(count, generator=seeded(seed)) < 0.3
+    chosen = coreset(x, keep, limit).tolist()
+    assert chosen == sorted(set(chosen))
+    assert len(chosen) == min(count, limit)
+    wanted = set(keep.nonzero().flatten().tolist())
+    assert wanted <= set(chosen) or set(chosen) <= wanted
+
+
+@given(st.integers(2, 9), st.integers(1, 3), st.integers(0, 2**31))
+def test_no_row_is_left_farther_out_than_twice_the_best_choice(
+    count: int, limit: int, seed: int
+) -> None:
+    x = torch.randn(count, 2, dtype=torch.float64, generator=seeded(seed))
+
+    def radius(kept: tuple[int, ...] | list[int]) -> float:
+        return float(torch.cdist(x, x[list(kept)]).amin(1).max())
+
+    best = min(radius(kept) for kept in combinations(range(count), min(limit, count)))
+    chosen = coreset(x, torch.zeros(count, dtype=torch.bool), limit).tolist()
+    assert radius(chosen) <= 2 * best + 1e-12
+
+
+def test_a_limit_below_one_is_refused() -> None:
+    with pytest.raises(SettingsError, match="limit is 0"):
+        coreset(torch.zeros(3, 2), torch.zeros(3, dtype=torch.bool), 0)

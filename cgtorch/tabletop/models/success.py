@@ -8,8 +8,8 @@ from torch import Tensor
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.ground.errors import DataError
 from cgtorch.native import alike, constants, function, structure
-from cgtorch.svm.compiled import machine_structure, threads_for
 from cgtorch.svm.machine import KernelMachine
+from cgtorch.svm.rbf import machine_structure, threads_for
 from cgtorch.tabletop.world.percepts import parts_of
 
 FLAT = 7  # features of box percepts, without the height, where all tables are as high
@@ -125,9 +125,9 @@ def used_features(percept: Tensor) -> int:
 
 def compiled_machine(machine: KernelMachine, percept: Tensor, *more: Tensor) -> Any:
     """A machine with one output, or None if C does not support percepts (n, D) and the rest."""
-    if not alike(percept, *machine._machine, *more) or not machine.fitted:
+    if not alike(percept, *machine.tensors, *more) or not machine.fitted:
         return None
-    made = machine_structure(*machine._machine)
+    made = machine_structure(*machine.tensors)
     if made is None or made.k != 1:
         return None
     most = constants("engine_limits", percept.dtype)["MOST_PERCEPT"]

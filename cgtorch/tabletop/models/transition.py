@@ -16,7 +16,7 @@ from cgtorch.ground.fields import Field
 from cgtorch.native import alike, function, structure
 from cgtorch.simulation import CompiledModels, ModelEnvironment
 from cgtorch.svm import SVR, grid_search
-from cgtorch.svm.compiled import LOG2E, threads_for
+from cgtorch.svm.rbf import LOG2E, threads_for
 from cgtorch.tabletop.models import geometry
 from cgtorch.tabletop.models.success import GraspClassifier, compiled_machine
 from cgtorch.tabletop.world.clear_motion import ClearMotion, body_structure

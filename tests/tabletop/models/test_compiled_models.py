@@ -8,8 +8,7 @@ from random_models import first_percepts, random_classifier, random_gamma
 from support import FOOTPRINT, seeded
 
 from cgtorch.native import available
-from cgtorch.svm.compiled import machine_structure, machine_values
-from cgtorch.svm.rbf_predict import predict_rbf
+from cgtorch.svm.rbf import machine_structure, machine_values, predict_rbf
 from cgtorch.tabletop.world import motion_possible
 from cgtorch.tabletop.world.clear_motion import motion_possible_in_torch
 

@@ -1,4 +1,4 @@
-"""The fused values: right, and the same for a row in whatever company and on how many threads."""
+"""Kernel matrices and fused values: right, the same in whatever company and on any threads."""
 
 import os
 import subprocess
@@ -7,16 +7,18 @@ import threading
 
 import pytest
 import torch
-from hypothesis import given
+from dual_problems import rows
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cgtorch.svm import rbf_predict
-from cgtorch.svm.rbf_predict import chunk_rows, predict_rbf
+from cgtorch.ground.errors import DataError
+from cgtorch.svm import rbf as module
+from cgtorch.svm.rbf import Gram, chunk_rows, predict_rbf, rbf
 
 FLOATS = [torch.float32, torch.float64]
 
 
-def _problem(rows, features, centres, outputs, dtype, seed=0):
+def problem(count, features, centres, outputs, dtype, seed=0):
     generator = torch.Generator().manual_seed(seed)
 
     def draw(*shape):
@@ -24,13 +26,7 @@ def _problem(rows, features, centres, outputs, dtype, seed=0):
 
     gamma = torch.tensor(0.3 / features, dtype=dtype)
     machine = draw(centres, features), draw(centres, outputs), draw(outputs), gamma
-    return draw(rows, features), machine
-
-
-def _plain(x, centres, weights, bias, gamma):
-    distance = torch.cdist(x.double(), centres.double()).square()
-    values = (-gamma.double() * distance).exp() @ weights.double() + bias.double()
-    return values, distance.amin(1) * gamma.double() / torch.log(torch.tensor(2.0).double())
+    return draw(count, features), machine
 
 
 sizes = {
@@ -42,21 +38,25 @@ sizes = {
 }
 
 
-@given(rows=st.integers(0, 600), **sizes)
-def test_values_and_nearest_distance_are_those_of_the_definition(rows, **problem):
-    x, machine = _problem(rows, **problem)
+@given(count=st.integers(0, 600), **sizes)
+@settings(max_examples=30)
+def test_values_and_nearest_distance_are_those_of_the_definition(count, dtype, **given):
+    x, machine = problem(count, dtype=dtype, **given)
     values, nearest = predict_rbf(x, *machine)
     assert torch.equal(values, predict_rbf(x, *machine, with_nearest=False)[0])
-    if rows:
-        tolerance = 3e-4 if problem["dtype"] == torch.float32 else 1e-10
-        right, distance = _plain(x, *machine)
-        assert torch.allclose(values.double(), right, atol=tolerance * problem["centres"] ** 0.5)
+    if count:
+        centres, weights, bias, gamma = (each.double() for each in machine)
+        exponent = gamma * torch.cdist(x.double(), centres).square()
+        right, tolerance = (-exponent).exp() @ weights + bias, 3e-4 if dtype == FLOATS[0] else 1e-10
+        assert torch.allclose(values.double(), right, atol=tolerance * len(centres) ** 0.5)
+        distance = exponent.amin(1) / torch.log(torch.tensor(2.0).double())
         assert torch.allclose(nearest.double(), distance, atol=tolerance, rtol=tolerance)
 
 
 @given(data=st.data(), **sizes)
-def test_a_row_has_the_same_values_in_every_batch(data, **problem):
-    x, machine = _problem(1300, **problem)
+@settings(max_examples=30)
+def test_a_row_has_the_same_values_in_every_batch(data, **given):
+    x, machine = problem(1300, **given)
     values, nearest = predict_rbf(x, *machine)
     begin = data.draw(st.integers(0, 1299))
     end = data.draw(st.integers(begin + 1, 1300))
@@ -70,29 +70,26 @@ def test_a_row_has_the_same_values_in_every_batch(data, **problem):
 @pytest.mark.parametrize("outputs", [1, 7])
 @pytest.mark.parametrize("dtype", FLOATS)
 def test_more_rows_than_a_block_and_more_centres_than_fit_change_nothing(outputs, dtype):
-    x, machine = _problem(9001, 6, 2003, outputs, dtype)
+    x, machine = problem(9001, 6, 2003, outputs, dtype)
     assert chunk_rows(2003, x.element_size()) * 4 < 9001
     values, _ = predict_rbf(x, *machine)
-    for rows in (slice(0, 1), slice(9000, 9001), slice(505, 1021), slice(4444, 4447)):
-        assert torch.equal(predict_rbf(x[rows], *machine)[0], values[rows])
+    for part in (slice(0, 1), slice(9000, 9001), slice(505, 1021), slice(4444, 4447)):
+        assert torch.equal(predict_rbf(x[part], *machine)[0], values[part])
 
 
 @pytest.mark.parametrize("outputs", [1, 7])
 def test_threads_change_nothing_and_are_kept(outputs):
-    x, machine = _problem(12_000, 8, 300, outputs, torch.float32)
+    x, machine = problem(12_000, 8, 300, outputs, torch.float32)
     alone = predict_rbf(x, *machine)
     torch.set_num_threads(2)
-    try:
-        small = predict_rbf(x[:64], *machine)
-        shared = predict_rbf(x, *machine)
-        with torch.inference_mode():
-            inferred = predict_rbf(x, *machine)
-        running = threading.active_count()
-        predict_rbf(x, *machine)
-        assert threading.active_count() == running
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(1)
+    small = predict_rbf(x[:64], *machine)
+    shared = predict_rbf(x, *machine)
+    with torch.inference_mode():
+        inferred = predict_rbf(x, *machine)
+    running = threading.active_count()
+    predict_rbf(x, *machine)
+    assert threading.active_count() == running
+    assert torch.get_num_threads() == 2
     for one, two, three in zip(alone, shared, inferred, strict=True):
         assert torch.equal(one, two)
         assert torch.equal(one, three)
@@ -101,7 +98,7 @@ def test_threads_change_nothing_and_are_kept(outputs):
 
 FORKS = """
 import os, torch
-from cgtorch.svm.rbf_predict import predict_rbf
+from cgtorch.svm.rbf import predict_rbf
 torch.set_num_threads(2)
 x, c, w = torch.ones(12_000, 3), torch.ones(300, 3), torch.ones(300, 1)
 machine = (c, w, torch.zeros(1), torch.tensor(1.0))
@@ -122,28 +119,40 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
     def fails(*_):
         raise ValueError("no")
 
-    x, machine = _problem(12_000, 8, 300, 1, torch.float32)
-    monkeypatch.setattr(rbf_predict, "_filler", lambda *_: fails)
+    x, machine = problem(12_000, 8, 300, 1, torch.float32)
+    monkeypatch.setattr(module, "_filler", lambda *_: fails)
     torch.set_num_threads(2)
-    try:
-        with pytest.raises(ValueError, match="no"):
-            predict_rbf(x, *machine)
-    finally:
-        torch.set_num_threads(1)
+    with pytest.raises(ValueError, match="no"):
+        predict_rbf(x, *machine)
 
 
 def test_chunks_are_whole_and_bounded():
     for centres in (1, 16, 304, 1008, 5008, 10**6, 10**8):
-        rows = chunk_rows(centres, 4)
-        assert rows % 48 == 0
-        assert 48 <= rows <= 1024
-        assert rows == 48 or rows * centres * 4 <= 2**28
+        count = chunk_rows(centres, 4)
+        assert count % 48 == 0
+        assert 48 <= count <= 1024
+        assert count == 48 or count * centres * 4 <= 2**28
 
 
 def test_gradients_are_those_of_the_definition():
-    x, machine = _problem(5, 3, 20, 2, torch.float64)
+    x, machine = problem(5, 3, 20, 2, torch.float64)
+    plain = predict_rbf(x, *machine)[0]
     x.requires_grad_()
     assert torch.autograd.gradcheck(lambda rows: predict_rbf(rows, *machine), (x,))
-    assert torch.allclose(
-        predict_rbf(x, *machine)[0], predict_rbf(x.detach(), *machine)[0], atol=1e-12
-    )
+    assert torch.allclose(predict_rbf(x, *machine)[0], plain, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 15, 16, 17, 100])
+def test_kernel_matrices_are_those_of_torch(n):
+    x = 3 * rows(5, n) + 100
+    exact, gram = rbf(x, x, 0.3), Gram(x, 0.3)
+    assert gram.single.shape == (n, n + -n % 16)
+    assert gram.double.shape == (n, n + -n % 8)
+    assert bool(torch.isfinite(gram.single).all())
+    assert torch.equal(gram.matrix, exact)
+    torch.testing.assert_close(gram.single[:, :n].double(), exact, atol=1e-7, rtol=0)
+
+
+def test_kernels_that_are_not_finite_are_refused():
+    with pytest.raises(DataError, match="non-finite"):
+        _ = Gram(torch.tensor([[1e200], [-1e200], [1e300]]).double(), 1.0).single
