@@ -1,9 +1,7 @@
-"""CMA-ES: a normal distribution of parameters that adapts to the best samples (Hansen 2016).
+"""CMA-ES (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772), with its constants.
 
-The equations and constants are those of Hansen, "The CMA Evolution Strategy: A Tutorial"
-(arXiv:1604.00772). With more than `MOST_FULL` parameters, only the variances are learned, at the
-higher learning rates of sep-CMA-ES (Ros and Hansen, "A simple modification in CMA-ES achieving
-linear time and space complexity", PPSN 2008).
+With more than `MOST_FULL` parameters, only the variances are learned, as in sep-CMA-ES (Ros and
+Hansen, "A simple modification in CMA-ES achieving linear time and space complexity", PPSN 2008).
 """
 
 import math
@@ -12,10 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-MOST_FULL = 200
-"""The largest number of parameters for which covariances are learned."""
-LEAST_VARIANCE = 1e-20
-"""The least variance of any direction, in units of the squared step size."""
+MOST_FULL = 200  # parameters for which covariances are learned
+LEAST_VARIANCE = 1e-20  # of any direction, in units of the squared step size
 
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors

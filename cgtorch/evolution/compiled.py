@@ -23,11 +23,10 @@ BREEDING = partial(Module, "breeding", kernels=("elite", "pairs", "children"))
 SELECTION = partial(Module, "selection", kernels=("order", "sort_groups", "parents"))
 """The kernels for one type of numbers."""
 
+CPU = torch.device("cpu")
 THREADS, WARP = 128, 32
-PAIRS = 64
-"""Threads per block of the crossover kernel, where each thread needs much memory."""
-WARPS = 32
-"""Warps per multiprocessor that select parents at once."""
+PAIRS = 64  # threads per block of the crossover kernel, where each needs much memory
+WARPS = 32  # warps per multiprocessor that select parents at once
 
 
 def takes(graphs: Graphs, parameters: Tensor, slots: int = 0) -> bool:
@@ -131,7 +130,9 @@ def ranking(fitness: Tensor, graphs: Graphs) -> Tensor:
     return order
 
 
-def shuffled(count: int, key: int, device: torch.device, launcher: Gpu | None = None) -> Tensor:
+def shuffled(
+    count: int, key: int, device: torch.device = CPU, launcher: Gpu | None = None
+) -> Tensor:
     """See `cgtorch.ground.counter_rng.shuffled`; in torch if it has to be."""
     launcher, name = launcher or launcher_of(device), "shuffled_order"
     if launcher is None and function(name, torch.float32) is None:

@@ -47,8 +47,7 @@ class ChanceOfSuccess:
         return value * (1 - self.cost * runs.transitions.to(value)).clamp_min(LEAST)
 
 
-COST = 0.01  # of a transition, by default
-LEAST = 0.2
+COST, LEAST = 0.01, 0.2  # of a transition, by default; the smallest factor by transitions
 chance_of_success = ChanceOfSuccess()
 """Eq. 3 as published."""
 
@@ -93,7 +92,6 @@ actions of section VI."""
 
 Evaluator: TypeAlias = Callable[[Graphs], Evaluation]
 """Evaluates P graphs in an environment."""
-
 Parts: TypeAlias = tuple[Tensor, Tensor, Tensor, int, int, int]
 """The fields of an `Evaluation`."""
 
@@ -107,11 +105,9 @@ def evaluator(
     group: ranks.Group | None = None,
     fitness: Fitness = chance_of_success,
 ) -> Evaluator:
-    """The evaluation of eq. 3: 0 if a scenario of W fails, else the mean of C(p_t) over scenarios.
+    """The evaluation of eq. 3: 0 if a scenario of W fails, else the mean fitness of rollouts.
 
-    A rollout that does not end in success counts half its C(p_t). So coming near counts something,
-    and ending in success counts more. An individual that fails a scenario of W is not run on the
-    others.
+    An individual that fails a scenario of W is not run on the others.
 
     Args:
         actions: What nodes can do.
@@ -119,29 +115,27 @@ def evaluator(
         keep: (B,) bool, True for W and False for M, on the environment's device.
         max_transitions: Transitions after which a rollout fails.
         most_lanes: Number of rollouts at once (at least B); it does not change results.
-        group: The ranks that share the individuals; all by default. Each gets all results. See
-            `cgtorch.ground.distributed`.
+        group: The ranks that share the individuals; all by default. Each gets all results.
         fitness: The value of a rollout in place of C(p_t).
 
     No argument may be changed in place between two generations. Results come back to the device of
     the graphs.
     """
-    known = isinstance(fitness, ChanceOfSuccess)
-    engine = engine_of(actions, environment) if known else None
-    cost = fitness.cost if isinstance(fitness, ChanceOfSuccess) else 0.0
-    steps, size = most_steps(actions, max_transitions), max(1, most_lanes // max(1, len(keep)))
+    engine, cost = None, 0.0
+    if isinstance(fitness, ChanceOfSuccess):
+        engine, cost = engine_of(actions, environment), fitness.cost
+    size = max(1, most_lanes // max(1, len(keep)))
     order, kept = torch.argsort(~keep, stable=True), int(keep.sum())  # W first
+    about = order, kept, max_transitions, most_steps(actions, max_transitions), cost
 
     def parts(graphs: Graphs) -> Parts:
-        found = engine and engine.evaluation(graphs, order, kept, max_transitions, steps, cost)
+        found = engine and engine.evaluation(graphs, *about)
         return found or _by_rollouts(graphs, actions, environment, keep, max_transitions, fitness)
 
     def evaluation(graphs: Graphs) -> Evaluation:
         p, mine = len(graphs), graphs[ranks.share(len(graphs), group)]
         # A GPU has the more threads at work the more there is to do, and needs no memory for it.
-        whole = isinstance(engine, GpuEngine) and engine.evaluation(
-            mine, order, kept, max_transitions, steps, cost
-        )
+        whole = isinstance(engine, GpuEngine) and engine.evaluation(mine, *about)
         begins = range(0, max(1, len(mine)), size)
         found = [whole] if whole else [parts(mine[i : i + size]) for i in begins]
         *tensors, transitions, executed, not_finite = zip(*found, strict=True)
@@ -200,11 +194,9 @@ def last_success(
     p, b = runs.succeeded.shape
     percept, state = runs.percept.flatten(0, 1), runs.state.flatten(0, 1)
     nothing, steps = percept[:, :0], runs.transitions.flatten()
+    where = scenarios.repeat(p), torch.zeros_like(steps)
     # Not started again, which can take long in a world.
-    lanes = Lanes(
-        percept, state, nothing, steps.bool(), nothing, scenarios.repeat(p), torch.zeros_like(steps)
-    )
+    lanes = Lanes(percept, state, nothing, steps.bool(), nothing, *where)
     probability = environment.success(lanes)[1].view(p, b)
     finite = probability.isfinite() & runs.percept.isfinite().all(-1)
-    # What is not finite is worth nothing, and no other lane is the worse for it.
     return torch.where(finite, probability, 0.0).clamp(0, 1), finite

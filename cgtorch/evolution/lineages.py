@@ -1,16 +1,13 @@
 """Lineages: CMA-ES tunes the parameters of the best structures of a population.
 
-The operators on structure change single parameters, with one step size per graph. They find
-structures, but tune them badly. So the search alternates between structure and parameters:
+Mutations find structures, but tune their parameters badly. So the search alternates:
 
 1. A population is bred and evaluated as in Algorithm 2.
-2. Its best structures start lineages. Within a lineage the structure is fixed, and CMA-ES
-   (`cgtorch.evolution.cma`) adapts the parameters. All lineages are sampled in every generation.
-   After each of `RUNGS` generations only the better half continues (successive halving: Jamieson
-   and Talwalkar, AISTATS 2016). The best lineage of each kind of graph comes first, as some kinds
-   improve later than others. The last lineage continues until it stalls.
-3. The results of all lineages join the structures that they started from as parents of the next
-   population, with their tuned parameters.
+2. Its best structures start lineages, in which CMA-ES (`cgtorch.evolution.cma`) adapts the
+   parameters. All lineages are sampled in every generation. After each of `RUNGS` generations only
+   the better half continues (successive halving: Jamieson and Talwalkar, AISTATS 2016), the best of
+   each kind of graph first, as some kinds improve later. The last continues until it stalls.
+3. The best individuals of all lineages become parents of the next population.
 """
 
 from collections.abc import Sequence
@@ -31,19 +28,13 @@ from cgtorch.evolution.population import Population, join, slim
 from cgtorch.evolution.selection import Evaluated
 from cgtorch.graphs import ActionSet, Graphs, compacted
 
-RUNGS = (5, 40)
-"""Numbers of generations after which the worse half of the lineages ends."""
-SEVERAL = 8
-"""Number of individuals considered for each lineage to start."""
-STALL = 40
-"""Number of generations without progress after which a lineage ends."""
-MOST_UPDATES = 120
-"""Maximum number of generations of a lineage, so that slow progress cannot go on for ever."""
-LEAST_STEP = 1e-4
-RECENT = 8
-"""Number of generations over which the progress of a lineage is averaged."""
-LEAST_PROGRESS = 0.01
-"""The relative improvement of a lineage's average fitness that counts as progress."""
+RUNGS = (5, 40)  # generations after which the worse half of the lineages ends
+SEVERAL = 8  # individuals considered for each lineage to start
+STALL = 40  # generations without progress after which a lineage ends
+MOST_UPDATES = 120  # generations of a lineage
+LEAST_STEP = 1e-4  # step size at which a lineage has converged
+RECENT = 8  # generations over which the progress of a lineage is averaged
+LEAST_PROGRESS = 0.01  # relative improvement of the average fitness that counts as progress
 
 
 @dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
@@ -95,8 +86,7 @@ def next_lineages(
 ) -> tuple[tuple[Lineage, ...], Evaluated]:
     """The lineages to sample next, and what will be the parents of the next new structures.
 
-    Given are the lineages that were sampled, if any, the parents so far, what was evaluated, and
-    the number of lineages to start if none are running.
+    `evaluated` are samples of `lineages` if there are any; else up to `count` lineages start.
     """
     if not lineages:
         after = evaluated if parents is None else evaluated.with_others(parents)

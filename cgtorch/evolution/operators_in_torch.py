@@ -1,12 +1,9 @@
 """The genetic operators of a whole population in torch: `operators` without compiled code.
 
-Crossover, and mutations of nodes and edges, move nodes and ignore parameters. They work on graphs
-that carry, in place of parameters, the origin of each node's parameters. So parameters are copied
-only once, at the end, and only for the nodes that remain. An origin is
-
-- r + 1 for row r of all parents' parameters,
-- -r - 1 for row r of the parameters drawn for new nodes, and
-- 0 for a new node without a row.
+Crossover and mutations of structure work on graphs that carry, in place of parameters, the origin
+of each node's parameters. So parameters are copied only once, for the nodes that remain. An origin
+is r + 1 for row r of all parents' parameters, -r - 1 for row r of those drawn for new nodes, and 0
+for a new node without a row.
 
 Each mutation is a function of graphs and uniform numbers. Given u < rate, u / rate is uniform on
 [0, 1) and selects the target. `native/engine/operators.h` does the same to one graph at a time.

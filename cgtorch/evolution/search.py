@@ -1,10 +1,9 @@
 """Algorithm 2 as an endless stream of generations, of one population or of several islands.
 
-Islands let a search grow beyond the memory of one machine. Each island is evaluated and bred by
-itself, with its own random numbers. Every `EvolutionSettings.migration` generations, the best tenth
-of each island replaces the worst tenth of the next island; the last island sends to the first.
-Fernández, Tomassini and Vanneschi recommend a tenth every five to ten generations ("An empirical
-study of multipopulation genetic programming", Genetic Programming and Evolvable Machines 4, 2003).
+Each island is evaluated and bred by itself, with its own random numbers. Every
+`EvolutionSettings.migration` generations, the best tenth of each island replaces the worst tenth of
+the next, in a ring (Fernández, Tomassini and Vanneschi, "An empirical study of multipopulation
+genetic programming", Genetic Programming and Evolvable Machines 4, 2003).
 """
 
 import hashlib

@@ -1,9 +1,4 @@
-"""Composition: earlier skills as nodes under branching nodes (section IV-A), and choices of few.
-
-Specialists are evolved on groups of missed scenarios. Members of a team are tried on a coreset of
-W, and branching nodes are trained on it, so W can grow without bound. A new skill is tried on all
-of W before it is accepted, and what it loses joins the coreset (`cgtorch.improvement.improve`).
-"""
+"""Composition: skills as nodes under branching nodes (section IV-A), and choices of few of many."""
 
 import torch
 from torch import Generator, Tensor
@@ -60,22 +55,20 @@ def specialists_of(skill: Skill) -> tuple[Skill, ...]:
     return tuple(found.values())
 
 
-def fewest_members(solves: Tensor, keep: Tensor, most: int | None = None) -> list[int]:
-    """Few members that together solve all that any of them solves, as ascending indices.
+def fewest_members(solves: Tensor, most: int) -> list[int]:
+    """Up to `most` members that together solve what all of them solve, as ascending indices.
 
-    They are chosen greedily. Members that add nothing are left out, except those marked in `keep`
-    (M,) bool. `solves` is (B, M) bool. If more than `most` members would be needed, the result
-    solves as much as possible with `most`.
+    `solves` is (B, M) bool. The member that adds most is chosen next, and none that adds nothing.
     """
-    chosen = keep.nonzero()[:, 0].tolist()
-    covered = solves[:, chosen].any(1)
-    while True:
+    chosen, covered = list[int](), torch.zeros(len(solves), dtype=torch.bool)
+    while solves.shape[1] and len(chosen) < most:
         gain = (solves & ~covered[:, None]).sum(0)
-        best = int(gain.argmax()) if len(gain) else 0
-        if not len(gain) or gain[best] == 0 or len(chosen) == most:
-            return sorted(chosen)
+        best = int(gain.argmax())
+        if gain[best] == 0:
+            break
         chosen.append(best)
         covered |= solves[:, best]
+    return sorted(chosen)
 
 
 def broad_group(percepts: Tensor, missed: Tensor, size: int, generator: Generator) -> Tensor:
@@ -96,11 +89,11 @@ def local_group(percepts: Tensor, missed: Tensor, size: int, generator: Generato
 
 
 def cover(percepts: Tensor, size: int) -> tuple[Tensor, float]:
-    """(n,) long, ascending, scenarios that cover first percepts (B, D) (Gonzalez 1985).
+    """(n,) long, ascending, a coreset of first percepts (B, D), and the largest distance to it.
 
-    The first scenario is chosen, then repeatedly the one farthest from those chosen, up to `size`.
-    The largest distance to a chosen one is at most twice that of the best choice of as many. Of
-    equal percepts, only one is chosen. The largest distance is returned, too.
+    The first scenario is chosen, then repeatedly the one farthest from those chosen, up to `size`
+    (Gonzalez 1985). The distance is at most twice that of the best choice of as many. Of equal
+    percepts, only one is chosen.
     """
     if len(percepts) <= size:
         return torch.arange(len(percepts)), 0.0

@@ -36,12 +36,8 @@ Gradient: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 
 def train_gating(
     branch: BranchingNN, percepts: Tensor, solves: Tensor, weight: Tensor, generator: Generator
-) -> tuple[Tensor, Tensor]:
-    """(M - 1, K) parameters of the branching nodes, and (B,) long, the member of each scenario.
-
-    The nodes are visited in turn. The first one with the outcome "out1" selects its member; the
-    last member takes the rest. In training, each outcome has a probability, and the loss is the
-    negative log-probability that a scenario reaches a member that solves it.
+) -> Tensor:
+    """(M - 1, K) parameters of the branching nodes, the best of several restarts.
 
     Args:
         branch: The action of the branching nodes.
@@ -51,15 +47,13 @@ def train_gating(
         generator: Draws initial parameters and noise on percepts.
     """
     if solves.shape[1] == 1:
-        empty = percepts.new_zeros(0, branch.num_parameters)
-        return empty, selected_members(branch, empty, percepts)
+        return percepts.new_zeros(0, branch.num_parameters)
     x = branch.sees(percepts)
     centre, scale = x.mean(0), x.std(0).clamp_min(0.1)
     weight = weight * (solves.amax(1) > 0)
     tries = _descend(branch, (x - centre) / scale, solves, weight, BLUR / scale, generator)
     ends = [_unscaled(branch, parameters, centre, scale) for parameters in tries]
-    best = _most_reliable(branch, ends, percepts, solves, weight, generator)
-    return ends[best], selected_members(branch, ends[best], percepts)
+    return ends[_most_reliable(branch, ends, percepts, solves, weight, generator)]
 
 
 def _most_reliable(

@@ -8,9 +8,11 @@ where the next member is evolved. `cgtorch.improvement.grow` is the paper's meth
 
 import time
 from dataclasses import replace
+from functools import reduce
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from cgtorch.graphs import Skill
 from cgtorch.ground.asked import BudgetSpentError
@@ -79,8 +81,8 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     if accepted and state.judged is not state.current:
         state = without_chance(setup, state)
     chance = progress.chance or state.repeats != setup.repeats
-    about = state.knowledge, state.population
-    progress = replace(progress, knowledge=about[0], specialists=about[1], chance=chance)
+    about = {"knowledge": state.knowledge, "specialists": state.population, "chance": chance}
+    progress = replace(progress, **about)
     if state.current is None:
         return progress
     old = state.current.skill
@@ -90,13 +92,14 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     if not accepted:
         return progress
     _report_accepted(setup, state, skill, time.perf_counter() - began)
+    (rest, seen), scenarios, percepts = state.rest, state.scenarios, state.percepts
     good, bad = state.tried & state.keep, state.tried & ~state.keep
     return replace(
         progress,
         skill=skill,
-        solved=state.scenarios[good].joined(state.rest[0]),
-        missed=state.scenarios[bad],
-        seen=torch.cat([state.percepts[good], state.rest[1], state.percepts[bad]]),
+        solved=scenarios[good].joined(rest),
+        missed=scenarios[bad],
+        seen=torch.cat([percepts[good], seen, percepts[bad]]),
     )
 
 
@@ -153,19 +156,13 @@ def _looks(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> t
 def _report_accepted(setup: Setup[S], state: StageState[S], skill: Skill, seconds: float) -> None:
     """Report the new skill with its result on all scenarios that were tried, and on the rest."""
     rows, rest = state.tried, state.rest[0]
-    yes = torch.ones(len(rest), dtype=torch.bool)
-    setup.watch(
-        SkillAccepted(
-            setup.name,
-            skill,
-            state.scenarios[rows].joined(rest),
-            torch.cat([state.keep[rows], yes]),
-            torch.cat([state.known[rows], yes]),
-            torch.cat([state.targets[rows], ~yes]),
-            seconds,
-            state.other_noise if state.judged is state.current else None,
-        )
+    keep, known, targets = (
+        pad(column[rows], (0, len(rest)), value=value)
+        for column, value in ((state.keep, 1), (state.known, 1), (state.targets, 0))
     )
+    noise = state.other_noise if state.judged is state.current else None
+    about = state.scenarios[rows].joined(rest), keep, known, targets, seconds, noise
+    setup.watch(SkillAccepted(setup.name, skill, *about))
 
 
 def acted(
@@ -174,9 +171,8 @@ def acted(
     """The state after a candidate acted in the world, and whether the stage is finished.
 
     In a world that repeats itself, the candidate does not replace the current skill if it loses
-    some of W. Fresh scenarios follow until it fails or has solved enough of them in a row. Where
-    trials take a robot's time, the models learn from successes, too, and may know a better skill
-    before the next failure.
+    some of W. Fresh scenarios follow until it fails or has solved enough of them in a row. In any
+    other world, the models learn after `REFLECT` episodes even if all succeeded.
     """
     experience, done = list[Dataset](), False
     if state.repeats and candidate is not state.current:
@@ -211,9 +207,7 @@ def acted(
             state = replace(proposed(setup, thought)[1], repeats=state.repeats)
     setup.watch(Practised(setup.name, candidate.skill, state.in_a_row, _wanted(setup, state)))
     if experience and not (state.repeats and done):
-        more = experience[0]
-        for each in experience[1:]:
-            more = more.extended(each)
+        more = reduce(Dataset.extended, experience)
         state = replace(state, knowledge=learned(setup, state.knowledge, more))
     return state, done
 
@@ -301,8 +295,7 @@ def _with_current(state: StageState[S]) -> StageState[S]:
     Where gating networks over specialists lose some of W, they need to learn only what goes to
     somebody else.
     """
-    skill = None if state.current is None else state.current.skill
-    if skill is None or any(member is skill for member in state.members):
+    current = state.current
+    if current is None or any(member is current.skill for member in state.members):
         return state
-    trust = torch.cat([state.trust, torch.ones(len(state.trust), 1)], 1)
-    return replace(state, members=(*state.members, skill), trust=trust)
+    return state.joined_by(current.skill)

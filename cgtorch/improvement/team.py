@@ -1,9 +1,6 @@
 """The team of skills that a composed skill branches to, and the next skill to act in the world.
 
-It is thought out in the models: how well members do there, who is missing, and who is chosen. Last,
-a candidate is compared with the skill that acts. In a world that repeats itself, eq. 1 is exact: a
-candidate has to solve all of W in the world. In any other world a scenario cannot be tried again,
-so W and M are replayed in the models.
+The models tell how well members do, what specialist is missing, and whether a candidate is better.
 """
 
 import time
@@ -13,6 +10,7 @@ from typing import Any, Generic
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from cgtorch.evolution import Population, join
 from cgtorch.graphs import Skill, merged, same_behaviour
@@ -125,19 +123,26 @@ class StageState(Generic[S]):
         self, scenarios: S, percepts: Tensor, *, kept: bool = False, targets: bool = False
     ) -> "StageState[S]":
         """The state with more scenarios: of the first W if `kept`, else tried by nobody."""
-        n = len(scenarios)
-        known, wanted = torch.full((n,), kept), torch.full((n,), targets)
+
+        def more(column: Tensor, value: float) -> Tensor:
+            return torch.cat([column, column.new_full((len(scenarios), *column.shape[1:]), value)])
+
         return replace(
             self,
             scenarios=self.scenarios.joined(scenarios),
             percepts=torch.cat([self.percepts, percepts]),
-            keep=torch.cat([self.keep, known]),
-            known=torch.cat([self.known, known]),
-            tried=torch.cat([self.tried, known]),
-            shown=torch.cat([self.shown, torch.zeros(n).long()]),
-            targets=torch.cat([self.targets, wanted]),
-            trust=torch.cat([self.trust, torch.ones(len(scenarios), len(self.members))]),
+            keep=more(self.keep, kept),
+            known=more(self.known, kept),
+            tried=more(self.tried, kept),
+            shown=more(self.shown, 0),
+            targets=more(self.targets, targets),
+            trust=more(self.trust, 1.0),
         )
+
+    def joined_by(self, member: Skill) -> "StageState[S]":
+        """The state with one more member, who is trusted everywhere."""
+        trust = torch.cat([self.trust, torch.ones(len(self.trust), 1)], 1)
+        return replace(self, members=(*self.members, member), trust=trust)
 
     def after(self, candidate: Candidate, rows: Tensor, trial: Trial) -> "StageState[S]":
         """The state after `candidate` has acted on scenarios `rows` (R,) in the world."""
@@ -199,16 +204,15 @@ def _candidate(setup: Setup[S], state: StageState[S]) -> tuple[Candidate, StageS
     if missed.any():
         state = with_member(setup, state, missed)
         rates = _rates(setup, state)
-    best = rates[:, :-1].amax(1)
-    old = rates[:, -1]
-    if state.current is not None and bool((old >= torch.minimum(best, _RELIABLE)).all()):
-        return state.current, state
+    best, current = rates[:, :-1].amax(1), state.current
+    if current is not None and bool((rates[:, -1] >= best.clamp(max=RELIABLE)).all()):
+        return current, state
     new = composed(setup, state, rates[:, :-1])
-    if state.current is None:
+    if current is None:
         return new, state
-    if same_behaviour(new.skill, state.current.skill):
-        return state.current, state
-    now = shares(setup, state, [state.current.skill, new.skill])
+    if same_behaviour(new.skill, current.skill):
+        return current, state
+    now = shares(setup, state, [current.skill, new.skill])
     # What the world has shown of it, the models may not know.
     now[state.shown < 0, 0] *= 0.0 if state.repeats else BLAME
     gain = 0.0
@@ -216,10 +220,7 @@ def _candidate(setup: Setup[S], state: StageState[S]) -> tuple[Candidate, StageS
         now[state.shown > 0, 0] = now[state.shown > 0, 0].clamp(min=RELIABLE)
         gain = WORTH if state.in_a_row >= REFLECT else 0.0
     better = no_worse(now[:, 0], now[:, 1], state.keep, gain)
-    return (new if better else state.current), state
-
-
-_RELIABLE = torch.tensor(RELIABLE)
+    return (new if better else current), state
 
 
 def _rates(setup: Setup[S], state: StageState[S]) -> Tensor:
@@ -227,22 +228,22 @@ def _rates(setup: Setup[S], state: StageState[S]) -> Tensor:
 
     These are shares of replays in the models, corrected by what has happened in the world.
     """
-    current = state.current
-    skills = [*state.members, *([] if current is None else [current.skill])]
-    rates = shares(setup, state, skills)
+    current, members = state.current, list(state.members)
     if current is None:
-        rates = torch.cat([rates, torch.zeros(len(rates), 1)], 1)
+        rates = pad(shares(setup, state, members), (0, 1))
+    else:
+        rates = shares(setup, state, [*members, current.skill])
     rates[:, :-1] *= state.trust
     rates[state.shown < 0, -1] = 0.0
-    if state.repeats:
-        rates[state.keep, -1] = 1.0
-        if current is not None:
-            sent = current.sent_to(state.percepts)
-            sure = (state.keep & (sent >= 0)).nonzero()[:, 0]
-            rates[sure, sent[sure]] = 1.0
-            for i, member in enumerate(state.members):
-                if member is current.skill:
-                    rates[:, i] = rates[:, -1]
+    if not state.repeats:
+        return rates
+    rates[state.keep, -1] = 1.0
+    if current is not None:
+        sent = current.sent_to(state.percepts)
+        sure = (state.keep & (sent >= 0)).nonzero()[:, 0]
+        rates[sure, sent[sure]] = 1.0
+        same = [i for i, member in enumerate(members) if member is current.skill]
+        rates[:, same] = rates[:, -1:]
     return rates
 
 
@@ -257,13 +258,9 @@ def with_member(setup: Setup[S], state: StageState[S], missed: Tensor) -> StageS
         rows = torch.cat([rows, solved[some]])
     about = state.knowledge, state.scenarios[rows], state.percepts[rows], state.population
     champion = specialist(setup, name, *about)
+    graphs = join(state.population, champion) if state.population else champion
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
-    return replace(
-        state,
-        members=(*state.members, member),
-        trust=torch.cat([state.trust, torch.ones(len(state.trust), 1)], 1),
-        population=join(state.population, champion) if state.population else champion,
-    )
+    return replace(state, population=graphs).joined_by(member)
 
 
 def no_worse(old: Tensor, new: Tensor, keep: Tensor, gain: float = 0.0) -> bool:
@@ -285,12 +282,10 @@ def no_worse(old: Tensor, new: Tensor, keep: Tensor, gain: float = 0.0) -> bool:
 
 def composed(setup: Setup[S], state: StageState[S], rates: Tensor) -> Candidate:
     """The smallest team that solves what its members solve, given their shares (B, M)."""
-    nobody = torch.zeros(len(state.members), dtype=torch.bool)
-    chosen = fewest_members(rates >= RELIABLE, nobody, FEW) or [int(rates.mean(0).argmax())]
+    chosen = fewest_members(rates >= RELIABLE, FEW) or [int(rates.mean(0).argmax())]
     _, branch = branching_action(setup.actions)
     weight = torch.where(state.tried | state.targets, 3.0, 1.0)
-    about = state.percepts, rates[:, chosen], weight
-    branches, _ = train_gating(branch, *about, setup.generator)
+    branches = train_gating(branch, state.percepts, rates[:, chosen], weight, setup.generator)
     name, members = f"{setup.name}-{state.number}", [state.members[i] for i in chosen]
     skill = compose(name, members, branches, setup.actions, setup.max_transitions)
     return Candidate(skill, tuple(chosen), branches)

@@ -1,11 +1,11 @@
-"""Trying a skill in the world (Algorithm 1, line 2), and what success means.
+"""Trying a skill in the world (Algorithm 1, line 2).
 
-A scenario is an initial state together with its noise. In a world that repeats itself, noise is
-drawn from the scenario's seed, so a repeated run gives the same result, and W and eq. 1a are exact
-statements. In any other world, a trial is one sample of what may happen (`acceptance`).
+A scenario is an initial state together with its noise. In a world that repeats itself, W and eq. 1a
+are exact statements. In any other world, a trial is one sample of what may happen.
 """
 
 from dataclasses import astuple, dataclass, fields, replace
+from functools import reduce
 
 import torch
 from torch import Tensor
@@ -23,9 +23,8 @@ from cgtorch.simulation import Recording, rollout
 class Trial:
     """The result of a skill on B scenarios of a world.
 
-    First percepts are (B, D); `succeeded` and the number of executed actions are (B,). `returns`
-    (B,) are those of its episodes, if the world gives rewards. `actions` (B,) are world actions,
-    and `asked` is what all of it cost.
+    First percepts are (B, D). `succeeded`, the executed actions of the skill, the world actions
+    among them, and the `returns`, if the world gives rewards, are (B,). `asked` is what it cost.
     """
 
     percepts: Tensor
@@ -49,15 +48,16 @@ def try_skill(
     BudgetSpentError if `purse` does not cover it.
     """
     purse = Purse() if purse is None else purse
+    rows = torch.arange(world.num_scenarios)
     if not isinstance(world, Live):
-        return _tried(skill, world, purse, phase, most, torch.arange(world.num_scenarios))
+        return _tried(skill, world, purse, phase, most, rows)
     trials = []
-    for row in range(world.num_scenarios):
+    for row in rows.split(1):
         known = world.recall()
         if known is not None:
             trials.append(_recalled(known, purse, phase))
             continue
-        trial = _tried(skill, world, purse, phase, most, torch.tensor([row]))
+        trial = _tried(skill, world, purse, phase, most, row)
         left, asked = world.ended(bool(trial.succeeded))
         purse.add(phase, asked)
         both = left.extended(trial.experience)
@@ -66,19 +66,13 @@ def try_skill(
 
 
 def _tried(
-    skill: Skill,
-    world: Environment,
-    purse: Purse,
-    phase: str,
-    most: int | None,
-    rows: Tensor,
+    skill: Skill, world: Environment, purse: Purse, phase: str, most: int | None, rows: Tensor
 ) -> Trial:
     """A trial on some scenarios, all at once."""
     before, place = purse.total, Recording(world, purse, phase, most)
     purse.pay(phase, Asked(episodes=len(rows)))
-    runs = rollout(
-        skill.graph, skill.actions, place, scenarios=rows, max_transitions=skill.max_transitions
-    )
+    about, limit = (skill.graph, skill.actions, place), skill.max_transitions
+    runs = rollout(*about, scenarios=rows, max_transitions=limit)
     return Trial(
         percepts=place.first[rows],
         succeeded=runs.succeeded[0],
@@ -99,14 +93,11 @@ def _recalled(known: Episode, purse: Purse, phase: str) -> Trial:
 
 def _joined(trials: list[Trial]) -> Trial:
     """One trial of several, at least one."""
-    experience, asked = trials[0].experience, trials[0].asked
-    for trial in trials[1:]:
-        experience, asked = experience.extended(trial.experience), asked + trial.asked
-    first, succeeded, transitions, actions = (
-        torch.cat([getattr(trial, name) for trial in trials])
-        for name in ("percepts", "succeeded", "transitions", "actions")
-    )
-    return Trial(first, succeeded, transitions, experience, actions, asked)
+    experience = reduce(Dataset.extended, (trial.experience for trial in trials))
+    names = "percepts", "succeeded", "transitions", "actions"
+    columns = {name: torch.cat([getattr(trial, name) for trial in trials]) for name in names}
+    asked = sum((trial.asked for trial in trials), Asked())
+    return Trial(experience=experience, asked=asked, **columns)
 
 
 def first_percepts(world: Environment) -> Tensor:
@@ -120,15 +111,10 @@ def looked(setup: Setup[S], scenarios: S) -> Tensor:
     known = setup.journal.recall(step)
     if known is not None:
         setup.purse.add(step, asked)
-        percepts = known.get("percepts", torch.zeros(0))
-        if (
-            percepts.dim() != 2
-            or len(percepts) != len(scenarios)
-            or percepts.dtype != torch.float32
-        ):
+        percepts, count = known.get("percepts", torch.zeros(0)), len(scenarios)
+        if percepts.dim() != 2 or len(percepts) != count or percepts.dtype != torch.float32:
             raise RunError(
-                f"the journal's looks are not those at {len(scenarios)} scenarios; remove the "
-                "journal"
+                f"the journal's looks are not those at {count} scenarios; remove the journal"
             )
     else:
         setup.purse.pay(step, asked)
@@ -163,9 +149,14 @@ def attempt(
 
 def trial_tensors(trial: Trial) -> dict[str, Tensor]:
     """The tensors of a trial in a journal."""
-    own = {"first": trial.percepts, "solved": trial.succeeded, "transitions": trial.transitions}
-    own["actions"] = trial.actions
-    return {**own, "asked": torch.tensor(astuple(trial.asked)), **vars(trial.experience)}
+    return {
+        "first": trial.percepts,
+        "solved": trial.succeeded,
+        "transitions": trial.transitions,
+        "actions": trial.actions,
+        "asked": torch.tensor(astuple(trial.asked)),
+        **vars(trial.experience),
+    }
 
 
 def trial_from(tensors: dict[str, Tensor], scenarios: int) -> Trial:

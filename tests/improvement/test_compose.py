@@ -36,8 +36,8 @@ def branches(count: int, seed: int) -> torch.Tensor:
     edges = percepts[:, 5].quantile(torch.linspace(0, 1, count + 1)[1:-1])
     zone = torch.bucketize(percepts[:, 5].contiguous(), edges)
     solves = torch.nn.functional.one_hot(zone, count).float()
-    found, member = train_gating(BRANCH, percepts, solves, torch.ones(COUNT), seeded(seed))
-    assert len(set(member.tolist())) == count
+    found = train_gating(BRANCH, percepts, solves, torch.ones(COUNT), seeded(seed))
+    assert len(set(selected_members(BRANCH, found, percepts).tolist())) == count
     return found
 
 
@@ -71,27 +71,18 @@ def visited(skill: Skill, count: int = COUNT) -> list[list[int]]:
         for lane, slot in zip(active.tolist(), node.tolist(), strict=True):
             found[lane].append(slot)
 
-    rollout(
-        skill.graph,
-        skill.actions,
-        world(0, count),
-        max_transitions=skill.max_transitions,
-        trace=trace,
-    )
+    limit = skill.max_transitions
+    rollout(skill.graph, skill.actions, world(0, count), max_transitions=limit, trace=trace)
     return found
 
 
-def looker() -> Skill:
-    """A member that only looks, until it has run out of its transitions."""
+def test_a_member_that_fails_hands_over_to_the_next() -> None:
+    """Members only look, until they have run out of their transitions."""
     view: View = nx.MultiDiGraph(start=0)
     view.add_node(0, action="Detect", parameters=[])
     view.add_edge(0, 0, outcome="success")
-    return Skill("looker", from_networkx(view, ACTIONS), ACTIONS, 3)
-
-
-def test_a_member_that_fails_hands_over_to_the_next() -> None:
-    limits = [3, 2, 4]
-    team = [Skill(f"member {n}", looker().graph, ACTIONS, n) for n in limits]
+    limits, looker = [3, 2, 4], from_networkx(view, ACTIONS)
+    team = [Skill(f"member {n}", looker, ACTIONS, n) for n in limits]
     parameters = branches(3, 3)
     skill = compose("all", team, parameters, ACTIONS, max_transitions=6)
     seen = world(0, COUNT).start(torch.arange(COUNT))[1]
@@ -102,17 +93,6 @@ def test_a_member_that_fails_hands_over_to_the_next() -> None:
         # A member's only node stands behind the five of the whole; four members have their turn.
         turns = [(m + i) % 3 for i in range(6 - len(asked))]
         assert way == asked + [5 + turn for turn in turns for _ in range(limits[turn])]
-
-
-def test_one_member_is_that_member_under_a_new_name() -> None:
-    (one,) = members(1)
-    skill = compose("S0", [one], torch.zeros(0, BRANCH.num_parameters), ACTIONS, 8)
-    assert skill.name == "S0"
-    assert skill.depth == 1
-    first, second = (
-        rollout(s.graph, s.actions, world(0, 20), max_transitions=8) for s in (one, skill)
-    )
-    assert torch.equal(first.percept, second.percept)
 
 
 def test_composed_skills_can_be_stored_and_composed_again(tmp_path: Path) -> None:
@@ -156,11 +136,15 @@ def test_members_that_behave_the_same_are_one_node() -> None:
         assert torch.equal(value[:, at_once], getattr(all_three, name)[:, at_once]), name
 
 
-def test_a_team_that_behaves_the_same_is_one_skill() -> None:
-    one = members(1)[0]
-    skill = compose("all", [one, replace(one, name="again")], branches(2, 1), ACTIONS, 20)
-    assert skill.depth == 1
-    assert same_behaviour(skill, replace(one, max_transitions=20))
+def test_a_team_that_behaves_the_same_is_that_member_under_a_new_name() -> None:
+    (one,) = members(1)
+    for team, parameters in (
+        ([one], torch.zeros(0, BRANCH.num_parameters)),
+        ([one, replace(one, name="again")], branches(2, 1)),
+    ):
+        skill = compose("all", team, parameters, ACTIONS, 20)
+        assert (skill.name, skill.depth) == ("all", 1)
+        assert same_behaviour(skill, replace(one, max_transitions=20))
 
 
 def test_composing_needs_a_branching_network() -> None:
@@ -169,51 +153,26 @@ def test_composing_needs_a_branching_network() -> None:
         branching_action(few)
 
 
-tables = st.integers(1, 6).flatmap(
-    lambda m: st.tuples(
-        st.lists(st.lists(st.booleans(), min_size=m, max_size=m), min_size=1, max_size=10),
-        st.lists(st.booleans(), min_size=m, max_size=m),
-    )
-)
-
-
-@given(tables)
-def test_few_members_solve_all_that_any_solve(table: tuple[list[list[bool]], list[bool]]) -> None:
-    solves, keep = torch.tensor(table[0]), torch.tensor(table[1])
-    chosen = fewest_members(solves, keep)
-    assert chosen == sorted(set(chosen))
-    assert set(keep.nonzero()[:, 0].tolist()) <= set(chosen)
+@given(st.integers(0, 2**31), st.integers(1, 12), st.integers(0, 6), st.integers(0, 6))
+def test_few_members_solve_all_that_any_solve(seed: int, rows: int, count: int, most: int) -> None:
+    solves = torch.rand(rows, count, generator=seeded(seed)) < 0.4
+    every, few = fewest_members(solves, count), fewest_members(solves, most)
+    assert every == sorted(set(every))
+    assert len(few) == min(len(every), most)
+    assert set(few) <= set(every)
     covered = solves.any(1)
-    assert torch.equal(solves[:, chosen].any(1), covered)
+    assert torch.equal(solves[:, every].any(1), covered)
+    if most and count:
+        assert int(solves[:, few].any(1).sum()) >= int(solves.sum(0).max())
     fewest = next(
         size
-        for size in range(solves.shape[1] + 1)
-        for some in combinations(range(solves.shape[1]), size)
-        if set(keep.nonzero()[:, 0].tolist()) <= set(some)
-        and torch.equal(solves[:, list(some)].any(1), covered)
+        for size in range(count + 1)
+        for some in combinations(range(count), size)
+        if torch.equal(solves[:, list(some)].any(1), covered)
     )
     # Greedy choice of n scenarios takes at most H(n) times the fewest (Johnson 1974).
-    harmonic = sum(1 / i for i in range(1, len(solves) + 1))
-    assert fewest <= len(chosen) <= int(keep.sum()) + harmonic * max(1, fewest)
-
-
-def test_nobody_to_choose_from() -> None:
-    assert (
-        fewest_members(torch.zeros(4, 0, dtype=torch.bool), torch.zeros(0, dtype=torch.bool)) == []
-    )
-
-
-@given(st.integers(0, 2**31), st.integers(1, 12), st.integers(0, 6), st.integers(0, 6))
-def test_of_few_members_those_that_solve_most_are_taken(
-    seed: int, rows: int, count: int, most: int
-) -> None:
-    solves = torch.rand(rows, count, generator=seeded(seed)) < 0.4
-    nobody = torch.zeros(count, dtype=torch.bool)
-    everyone, few = fewest_members(solves, nobody), fewest_members(solves, nobody, most)
-    assert len(few) == min(len(everyone), most)
-    assert set(few) <= set(everyone)
-    if most >= 1 and count >= 1:
-        assert int(solves[:, few].any(1).sum()) >= int(solves.sum(0).max())
+    harmonic = sum(1 / i for i in range(1, rows + 1))
+    assert fewest <= len(every) <= harmonic * max(1, fewest)
 
 
 def test_specialists_are_the_innermost_skills() -> None:

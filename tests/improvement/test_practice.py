@@ -11,11 +11,10 @@ from members import nearly
 from reaching import world_of
 from support import seeded
 from torch import Generator
-from watched import NONE, Watched, along, first_stage, keys, of_kind, recruited, stage_of
-from watched import without_models as setup_of
+from watched import NONE, Watched, along, first_stage, improved, keys, of_kind, recruited
 
-from cgtorch.improvement.events import Event, Practised, SkillAccepted
-from cgtorch.improvement.improve import BATCH, FIRST, IDLE, LONG, improve
+from cgtorch.improvement.events import Practised, SkillAccepted
+from cgtorch.improvement.improve import BATCH, FIRST, IDLE, LONG
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios
 
@@ -43,14 +42,20 @@ def drawing(bad: set[int], drawn: list[int]) -> Callable[[int, Generator], Scena
     return draw
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 70), st.sets(st.integers(0, 120), max_size=6), st.integers(1, 9))
 def test_so_many_are_solved_in_a_row(practice: int, bad: set[int], attempts: int) -> None:
     """In batches that double, and from the beginning once one fails."""
     with pytest.MonkeyPatch.context() as patch:
         recruited(patch, MEMBER)
-        told, drawn = list[Event](), list[int]()
-        setup = setup_of(practice=practice, looks=LOOKS, attempts=attempts, noisy=False, replays=1)
-        after = improve(stage_of(setup, told.append), first_stage(), NONE, drawing(bad, drawn))
+        drawn = list[int]()
+        how = {
+            "practice": practice,
+            "looks": LOOKS,
+            "attempts": attempts,
+            "noisy": False,
+        }
+        after, told = improved(first_stage(), NONE, drawing(bad, drawn), replays=1, **how)
     looks, *batches = drawn
     assert looks == LOOKS
     met, failures, in_a_row, size = 0, 0, 0, BATCH
@@ -73,7 +78,7 @@ def test_so_many_are_solved_in_a_row(practice: int, bad: set[int], attempts: int
         assert len(after.solved) == met - failed
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(
     st.integers(0, 20),
     st.sets(st.integers(0, 50), max_size=9),
@@ -87,12 +92,15 @@ def test_where_nothing_is_tried_twice_the_first_skill_has_to_solve_more(
     """One after the other, so that nothing is asked once it is known that the skill fails."""
     with pytest.MonkeyPatch.context() as patch:
         recruited(patch, MEMBER)
-        told, drawn = list[Event](), list[int]()
-        setup = setup_of(
-            practice=practice, looks=LOOKS, attempts=attempts, repeats=False, replays=1
-        )
+        drawn = list[int]()
+        how = {
+            "practice": practice,
+            "looks": LOOKS,
+            "attempts": attempts,
+            "repeats": False,
+        }
         draw = drawing(bad, drawn)
-        after = improve(stage_of(setup, told.append), first_stage(), GOOD[:tests], draw)
+        after, told = improved(first_stage(), GOOD[:tests], draw, replays=1, **how)
     looks, *batches = drawn
     assert looks == LOOKS
     assert set(batches) <= {1}
@@ -124,8 +132,8 @@ def test_where_nothing_is_tried_twice_the_first_skill_has_to_solve_more(
 def test_tests_come_before_practice(monkeypatch: pytest.MonkeyPatch) -> None:
     recruited(monkeypatch, MEMBER)
     watched, drawn = Watched(), list[int]()
-    setup = setup_of(world_of=watched, practice=5, looks=2, noisy=False)
-    after = improve(stage_of(setup), first_stage(), GOOD[:7], drawing(set(), drawn))
+    how = {"world_of": watched, "practice": 5, "looks": 2, "noisy": False}
+    after, _ = improved(first_stage(), GOOD[:7], drawing(set(), drawn), **how)
     first, *others = watched.trials
     assert first.keys == keys(GOOD[:7])
     assert [len(each.keys) for each in others] == [3, 2]
@@ -138,10 +146,9 @@ def test_what_nobody_can_solve_ends_a_stage_at_last(
 ) -> None:
     """Though fresh scenarios are solved in a row each time."""
     recruited(monkeypatch, MEMBER)
-    told, drawn = list[Event](), list[int]()
-    setup = setup_of(practice=4, looks=2, attempts=attempts, noisy=False)
-    tests = GOOD[:2].joined(BAD[:1])
-    after = improve(stage_of(setup, told.append), first_stage(), tests, drawing(set(), drawn))
+    drawn, tests = list[int](), GOOD[:2].joined(BAD[:1])
+    how = {"practice": 4, "looks": 2, "attempts": attempts, "noisy": False}
+    after, told = improved(first_stage(), tests, drawing(set(), drawn), **how)
     practised: list[Practised] = of_kind(told, Practised)
     assert [e.in_a_row for e in practised] == [4] * min(attempts, IDLE + 1)
     assert after.skill is not None
@@ -155,22 +162,19 @@ def test_who_solves_nothing_at_all_is_given_up(
     attempts: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recruited(monkeypatch, MEMBER)
-    told: list[Event] = []
-    setup = setup_of(practice=4, looks=2, attempts=attempts, noisy=False)
     draw = drawing(set(range(999)), [])
-    after = improve(stage_of(setup, told.append), first_stage(), BAD[:2], draw)
+    how = {"practice": 4, "looks": 2, "noisy": False}
+    after, told = improved(first_stage(), BAD[:2], draw, attempts=attempts, **how)
     assert [e.in_a_row for e in of_kind(told, Practised)] == [0] * min(attempts, IDLE)
     assert after.skill is None
-    assert not len(after.solved)
-    assert not len(after.missed)
+    assert not len(after.solved) + len(after.missed)
 
 
 @pytest.mark.parametrize("practice", [0, 3])
 def test_where_nothing_is_seen_nobody_is_evolved_and_all_stays(practice: int) -> None:
     """As in a stage without tests, if nobody looks at fresh scenarios either."""
-    told: list[Event] = []
-    setup, before = setup_of(looks=0, practice=practice, attempts=2), first_stage()
-    after = improve(stage_of(setup, told.append), before, NONE, along("near"))
+    how = {"looks": 0, "practice": practice, "attempts": 2}
+    after, told = improved(first_stage(), NONE, along("near"), **how)
     assert after.skill is None
     assert not of_kind(told, SkillAccepted)
 
@@ -180,10 +184,8 @@ def test_a_candidate_that_solves_more_goes_on(monkeypatch: pytest.MonkeyPatch) -
     useless = [replace(nearly(-1.0 - i / 10), name=f"useless {i}") for i in range(2 * IDLE)]
     order = [*useless[: IDLE - 1], MEMBER, *useless[IDLE:]]
     recruited(monkeypatch, *order)
-    told: list[Event] = []
-    setup = setup_of(practice=0, looks=2, attempts=99, noisy=False, replays=1)
-    tests = GOOD[:3].joined(BAD[:3])
-    after = improve(stage_of(setup, told.append), first_stage(), tests, along("near"))
+    how = {"practice": 0, "looks": 2, "attempts": 99, "noisy": False, "replays": 1}
+    after, told = improved(first_stage(), GOOD[:3].joined(BAD[:3]), along("near"), **how)
     assert len(after.solved) == 3
     assert len(of_kind(told, Practised)) == IDLE - 1 + 1 + IDLE
 
@@ -202,9 +204,8 @@ def test_what_fails_in_practice_is_where_the_next_member_is_evolved(
     def draw(count: int, generator: Generator) -> Scenarios:
         return odd[torch.arange(count) % 3]
 
-    told: list[Event] = []
-    setup = setup_of(practice=3, looks=3, attempts=12, noisy=False)
-    after = improve(stage_of(setup, told.append), first_stage(), tests, draw)
+    how = {"practice": 3, "looks": 3, "attempts": 12, "noisy": False}
+    after, told = improved(first_stage(), tests, draw, **how)
     assert not left
     assert after.skill is not None
     assert set(after.skill.sub_skills) == {MEMBER.name, far.name}

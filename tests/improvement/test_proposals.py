@@ -8,11 +8,20 @@ import torch
 from members import nearly
 from reaching import unrepeatable, world_of
 from support import seeded
-from watched import NONE, first_stage, of_kind, recruited, stage_of, state_of, without_models
+from watched import (
+    NONE,
+    first_stage,
+    improved,
+    of_kind,
+    recruited,
+    stage_of,
+    state_of,
+    without_models,
+)
 
+from cgtorch.ground.asked import Purse
 from cgtorch.improvement import team
-from cgtorch.improvement.events import Event, Practised
-from cgtorch.improvement.improve import improve
+from cgtorch.improvement.events import Practised
 from cgtorch.improvement.team import REFLECT, WORTH, Candidate
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios
@@ -66,24 +75,17 @@ def test_a_stage_ends_when_the_models_know_nobody_better(
     def draw(count: int, generator: torch.Generator) -> Scenarios:
         return ONLY_BEST[:10].joined(BOTH[: count - 10]) if count == 30 else BOTH[30:][:count]
 
-    told: list[Event] = []
-    setup = without_models(
-        world_of=unrepeatable,
-        repeats=False,
-        practice=4,
-        looks=30,
-        max_transitions=6,
-        attempts=6,
-        replays=1,
-    )
-    after = improve(stage_of(setup, told.append), first_stage(), NONE, draw)
+    purse = Purse()
+    how = {"practice": 4, "looks": 30, "max_transitions": 6, "attempts": 6}
+    how |= {"world_of": unrepeatable, "repeats": False, "replays": 1, "purse": purse}
+    after, told = improved(first_stage(), NONE, draw, **how)
     assert after.skill is not None
     assert try_skill(after.skill, world_of(ONLY_BEST[:10])).succeeded.all()
     practised: list[Practised] = of_kind(told, Practised)
     names = {each.skill.name for each in practised}
     assert len(names) == len(practised) == (2 if thoughts == 1 else 1)
     assert [each.in_a_row for each in practised] == ([6, 4] if thoughts == 1 else [6])
-    assert setup.purse.total.episodes == (10 if thoughts == 1 else 6)
+    assert purse.total.episodes == (10 if thoughts == 1 else 6)
 
 
 def test_where_the_world_repeats_itself_one_candidate_is_enough(

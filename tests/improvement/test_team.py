@@ -85,7 +85,7 @@ def test_a_team_has_a_few_members_who_are_reliable(seed: int, count: int) -> Non
     rates = torch.rand(7, count, generator=generator)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(team, "train_gating", lambda branch, percepts, solves, *_: (
-            torch.zeros(solves.shape[1] - 1, branch.num_parameters), None
+            torch.zeros(solves.shape[1] - 1, branch.num_parameters)
         ))  # fmt: skip
         found = composed(stage_of(without_models()), state, rates)
     able = rates >= RELIABLE

@@ -17,6 +17,7 @@ from watched import (
     Watched,
     along,
     first_stage,
+    improved,
     keys,
     known,
     of_kind,
@@ -53,14 +54,13 @@ def test_nothing_repeats_its_noise() -> None:
     assert torch.equal(*(first_percepts(world_of(scenarios)) for _ in range(2)))
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_no_scenario_is_tried_twice(setup: Setup, nothing_yet: Progress, seed: int) -> None:
+def test_no_scenario_is_tried_twice(setup: Setup, nothing_yet: Progress) -> None:
     """Neither in its own stage nor in a later one, and none that was only looked at."""
     watched, progress = Watched(unrepeatable), nothing_yet
     fresh = replace(setup, world_of=watched, repeats=False, attempts=12, purse=Purse())
     for name, edge in (("S0", "near"), ("S1", "left")):
         told: list[Event] = []
-        about = stage_of(fresh, told.append, name, seed)
+        about = stage_of(fresh, told.append, name)
         after = improve(about, progress, stage_scenarios(edge), along(edge))
         assert after.skill is not progress.skill
         assert not of_kind(told, ChanceFound)
@@ -100,24 +100,24 @@ def test_a_trial_may_take_twice_what_almost_all_successes_take(actions: list[int
 def test_hopeless_trials_are_broken_off(monkeypatch: pytest.MonkeyPatch) -> None:
     """Somebody who grasps at nothing twenty times does so a few times only."""
     idle = nearly(-0.4)
-    recruited(monkeypatch, idle)
     for repeats, actions in ((False, MOST), (True, 40)):
         watched = Watched(unrepeatable if not repeats else world_of)
-        setup = without_models(world_of=watched, repeats=repeats, practice=3, looks=2, attempts=1)
+        purse, how = Purse(), {"practice": 3, "looks": 2, "attempts": 1, "repeats": repeats}
         recruited(monkeypatch, idle)
-        improve(stage_of(setup), first_stage(), stage_scenarios("near"), along("near"))
+        how |= {"world_of": watched, "purse": purse}
+        improved(first_stage(), stage_scenarios("near"), along("near"), **how)
         spent = [n for each in watched.trials for n in each.actions.values()]
         assert len(spent) >= 1
         assert max(spent) <= actions
         assert (max(spent) == MOST) is not repeats
-        assert setup.purse.total.actions == sum(spent)
+        assert purse.total.actions == sum(spent)
 
 
 def test_what_successes_take_says_what_others_may(monkeypatch: pytest.MonkeyPatch) -> None:
     recruited(monkeypatch, nearly(0.2))
     watched = Watched(unrepeatable)
-    setup = without_models(world_of=watched, repeats=False, practice=20, looks=2, attempts=12)
-    improve(stage_of(setup), first_stage(), NONE, along("near"))
+    how = {"world_of": watched, "repeats": False, "practice": 20, "looks": 2, "attempts": 12}
+    improved(first_stage(), NONE, along("near"), **how)
     successes, broken = list[int](), 0
     for each in watched.trials:
         state = state_of(NONE, actions=tuple(successes))
@@ -146,10 +146,9 @@ def test_a_candidate_that_is_worse_on_w_in_replays_does_not_act(
 
     monkeypatch.setattr("cgtorch.improvement.team.shares", shares)
     recruited(monkeypatch, far)
-    told: list[Event] = []
     watched = Watched(unrepeatable)
-    setup = without_models(world_of=watched, repeats=False, practice=2, looks=2, attempts=1)
-    improve(stage_of(setup, told.append), progress, NONE, along("near"))
+    how = {"world_of": watched, "repeats": False, "practice": 2, "looks": 2, "attempts": 1}
+    _, told = improved(progress, NONE, along("near"), **how)
     (practised,) = of_kind(told, Practised)
     assert practised.skill.name == ("S1-1" if taken else "S0")
     assert not set(watched.acted) & set(keys(progress.solved) + keys(progress.missed))
@@ -224,9 +223,8 @@ def test_success_that_is_none_stays_a_fact(
 ) -> None:
     """It is asked for once, as soon as enough is solved to tell, or at the end."""
     recruited(monkeypatch, MEMBER)
-    told: list[Event] = []
-    setup = without_models(practice=5, looks=2, attempts=3, noisy=noisy)
-    after = improve(stage_of(setup, told.append), first_stage(), many(count), along("near"))
+    how = {"practice": 5, "looks": 2, "attempts": 3, "noisy": noisy}
+    after, told = improved(first_stage(), many(count), along("near"), **how)
     assert not of_kind(told, ChanceFound)
     assert len([e for e in of_kind(told, WorldAsked) if e.phase == "other noise"]) == asked
     assert after.skill is not None
@@ -238,8 +236,7 @@ def test_in_a_world_that_never_repeats_nobody_asks_whether_success_is_chance(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     recruited(monkeypatch, MEMBER)
-    told: list[Event] = []
-    setup = without_models(world_of=coin, repeats=False, practice=5, looks=2, attempts=3)
-    improve(stage_of(setup, told.append), first_stage(), many(60), along("near"))
+    how = {"world_of": coin, "repeats": False, "practice": 5, "looks": 2, "attempts": 3}
+    _, told = improved(first_stage(), many(60), along("near"), **how)
     assert not of_kind(told, ChanceFound)
     assert not [e for e in of_kind(told, WorldAsked) if e.phase == "other noise"]

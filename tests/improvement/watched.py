@@ -14,6 +14,7 @@ from torch import Tensor
 from cgtorch.graphs import Skill
 from cgtorch.ground.environment import Lanes
 from cgtorch.improvement.events import Event
+from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.team import StageState
 from cgtorch.improvement.trial import first_percepts, try_skill
@@ -117,6 +118,17 @@ def stage_of(
     return replace(setup, name=name, generator=seeded(seed), watch=watch)
 
 
+def improved(
+    progress: Progress[Scenarios],
+    tests: Scenarios,
+    draw: Callable[[int, torch.Generator], Scenarios],
+    **changed: Any,
+) -> tuple[Progress[Scenarios], list[Event]]:
+    """The result of a stage in the world itself, and its events."""
+    told: list[Event] = []
+    return improve(stage_of(without_models(**changed), told.append), progress, tests, draw), told
+
+
 def along(edge: str) -> Callable[[int, torch.Generator], Scenarios]:
     """Draws scenarios with objects along an edge."""
     return lambda count, generator: random_scenarios(edge, count, generator)
@@ -132,9 +144,7 @@ def recruited(monkeypatch: pytest.MonkeyPatch, *members: Skill) -> list[Skill]:
         assert missed.any()
         if not left:
             return state
-        more = torch.ones(len(state.trust), 1)
-        found = (*state.members, left.pop(0))
-        return replace(state, members=found, trust=torch.cat([state.trust, more], 1))
+        return state.joined_by(left.pop(0))
 
     monkeypatch.setattr("cgtorch.improvement.team.with_member", with_member)
     return left
