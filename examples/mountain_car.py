@@ -2,9 +2,8 @@
 
     cgtorch-train --domain examples.mountain_car:MountainCar --run-dir runs/car
 
-A car in a valley must swing itself up to a flag. A push is a force that is held for ten steps. It
-costs what Gymnasium subtracts from the 100 points of the flag. A start is solved at the flag with
-90 points, Gymnasium's own threshold. Errors of Γ add up in a swing, so `explore` wants many pushes.
+A car in a valley must swing itself up to a flag by forces that are held for ten steps. They cost
+what Gymnasium subtracts from the 100 points of the flag, and 90 points solve a start, as there.
 """
 
 from collections.abc import Mapping
@@ -17,13 +16,10 @@ from cgtorch import Domain, Field, Models, ScenarioBatch, World
 from cgtorch.domains.exploration import Exploration, random_controls
 from cgtorch.ground.environment import Dataset, start_lanes
 
-HELD, STEPS = 10, 999  # steps that a push is held, and of an episode
-PUSHES = 12  # of each car in an exploration
+HELD, STEPS, PUSHES = 10, 999, 12  # steps of a push and an episode, pushes of an exploring car
 POWER, GRAVITY, FASTEST = 0.0015, 0.0025, 0.07
-LEFT, FLAG = -1.2, 0.45
-SOLVED = 90.0
-STARTS = {"valley": (-0.6, -0.4), "anywhere": (-1.1, 0.4)}
-"""Initial positions: Gymnasium's own, and almost all possible ones."""
+LEFT, FLAG, SOLVED = -1.2, 0.45, 90.0
+STARTS = {"valley": (-0.6, -0.4), "anywhere": (-1.1, 0.4)}  # Gymnasium's own, and almost all
 
 
 @dataclass(frozen=True)
@@ -40,8 +36,7 @@ class Valley(World):
 
     def first_state(self, scenario: Tensor) -> Tensor:
         """See `World.first_state`."""
-        position = self.scenarios.position[scenario].double()
-        return torch.nn.functional.pad(position[:, None], (0, 3))
+        return torch.nn.functional.pad(self.scenarios.position[scenario, None].double(), (0, 3))
 
     def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
         """See `World.next_state`; these are Gymnasium's equations, for many cars at once."""
@@ -69,7 +64,7 @@ class Valley(World):
 
 
 class CarModels(Models["MountainCar"]):
-    """Models of the car, which want many pushes."""
+    """Errors of Γ add up in a swing, so it wants many pushes."""
 
     def explore(self, about: Exploration) -> Dataset:
         """See `Models.explore`; half of the pushes are the way the car rolls."""
