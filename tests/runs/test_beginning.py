@@ -44,7 +44,7 @@ def test_a_planned_run_is_one_that_is_not_written(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["", "moon", "general-clutte"])
 def test_scenarios_that_no_run_is_about(tmp_path: Path, kind: str) -> None:
-    says = f"scenarios is '{kind}'; use one of perimeter, near, left, right, far, general, general-clutter"
+    says = f"scenarios is '{kind}'; use one of perimeter, near, left, right, far, general"
     with pytest.raises(SettingsError, match=says):
         create_run(tmp_path / "run", replace(SMALL, scenarios=kind))
     assert listing(tmp_path) == set()
