@@ -186,7 +186,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     # Torch takes a second to import, so that help and usage errors come without it.
     with common.importing():
         from cgtorch.commands.training import begin, carry_on
-        from cgtorch.domains.live import driver_of
+        from cgtorch.domains.registry import driver_of
         from cgtorch.ground.distributed import together
         from cgtorch.runs.stored_run import read_run
         from cgtorch.training.session import TrainingRequest

@@ -10,7 +10,6 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.pictures import Pictures
-from cgtorch.domains.registry import domain_class, is_code
 from cgtorch.domains.robot import Robot, RobotDriver
 from cgtorch.graphs import ActionSet, Step, Test
 from cgtorch.ground.asked import Asked
@@ -190,8 +189,3 @@ def domain_of_driver(driver: type[RobotDriver]) -> type[DriverDomain]:
         "kinds": driver.kinds,
     }  # fmt: skip
     return type(driver.__name__, (DriverDomain,), about)
-
-
-def driver_of(spec: str) -> str:
-    """The name of a domain if it is that of a driver, else ""."""
-    return spec if is_code(spec) and issubclass(domain_class(spec), DriverDomain) else ""

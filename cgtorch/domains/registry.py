@@ -64,6 +64,13 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
     return found
 
 
+def driver_of(spec: str) -> str:
+    """The name of a domain if it is that of a driver, else ""."""
+    from cgtorch.domains.live import DriverDomain
+
+    return spec if is_code(spec) and issubclass(domain_class(spec), DriverDomain) else ""
+
+
 def spec_of(domain: Any) -> "tuple[str, Domain[Any] | None]":
     """The name of a domain that is an object, a class or a name, and the object if it is given.
 

@@ -5,8 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from cgtorch.domains.live import driver_of
-from cgtorch.domains.registry import make_domain, settings_class, spec_of, spec_of_class
+from cgtorch.domains.registry import driver_of, make_domain, settings_class, spec_of, spec_of_class
 from cgtorch.domains.settings import known_options
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.ground import distributed as ranks
