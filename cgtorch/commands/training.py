@@ -18,7 +18,6 @@ from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.training.auto import reached
 from cgtorch.training.session import (
-    Outcome,
     TrainingRequest,
     Work,
     begun,
@@ -54,11 +53,11 @@ def _train(work: Work, quiet: bool) -> None:
         if work.new:
             for line in _before(work):
                 display.say(line, style="bold" if line.startswith("New") else "")
-        outcome = carry_out(work, display)
-        display.say(f"run {run.folder} {_end(outcome)}")
-        display.say(asked_of("robot" if run.settings.driver else "world", outcome.purse))
+        results = carry_out(work, display)
+        display.say(f"run {run.folder} {_end(work, results)}")
+        display.say(asked_of("robot" if run.settings.driver else "world", work.purse))
     if ranks.first():
-        Console().print(final_table(outcome.results, run.domain))
+        Console().print(final_table(results, run.domain))
     with ProgressDisplay(quiet=quiet) as display:
         for line in _after(work) if run.stages else ():
             display.say(line)
@@ -101,9 +100,9 @@ def _before(work: Work) -> Iterator[str]:
     yield f"  Ctrl-C stops the run, and this command continues it: {_resuming(run)}"
 
 
-def _end(outcome: Outcome) -> str:
+def _end(work: Work, results: list[dict[str, Any]]) -> str:
     """The end of the sentence about a run's outcome, after its folder's name."""
-    work, results, purse = outcome.work, outcome.results, outcome.purse
+    purse = work.purse
     if purse.exhausted:
         limits = " and ".join(f"{limit:g} {name}" for name, limit in purse.limits.items())
         last = f"the best skill is {results[-1]['stage']}" if results else "there is no skill yet"

@@ -99,7 +99,10 @@ class TrainingRequest:
 
 @dataclass(frozen=True)
 class Work:
-    """A run that is about to be trained: to which stage or goal, where, and what has changed."""
+    """A run that is about to be trained: to which stage or goal, where, and what has changed.
+
+    `purse` counts what its world is asked.
+    """
 
     run: StoredRun
     stage: str
@@ -107,20 +110,12 @@ class Work:
     taken: TakenOver
     request: TrainingRequest
     new: bool
+    purse: Purse
 
     @property
     def auto(self) -> bool:
         """Whether it is trained in rounds, until the goal is reached."""
         return self.stage == AUTO
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of the work: the results of stages and rounds, and what the world was asked."""
-
-    work: Work
-    results: list[dict[str, Any]]
-    purse: Purse
 
 
 class _StopTraining(BaseException):
@@ -172,11 +167,13 @@ def prepared(run: StoredRun, settings: RunSettings, request: TrainingRequest) ->
     taken = take_over(run, settings, stage)
     made = (taken.run.folder / name for name in ("start", "journal"))
     new = not taken.run.stages and not any(path.exists() for path in made)
-    return Work(taken.run, stage, goal, taken, request, new)
+    return Work(taken.run, stage, goal, taken, request, new, Purse(request.budget))
 
 
-def carry_out(work: Work, display: ProgressDisplay, watch: UserWatch | None = None) -> Outcome:
-    """Train the run, and write its log and TensorBoard's files.
+def carry_out(
+    work: Work, display: ProgressDisplay, watch: UserWatch | None = None
+) -> list[dict[str, Any]]:
+    """Train the run, and write its log and TensorBoard's files; the results of stages and rounds.
 
     Raises:
         NotImprovedError: A stage or round ended without a skill.
@@ -190,7 +187,6 @@ def carry_out(work: Work, display: ProgressDisplay, watch: UserWatch | None = No
         for line in (*_earlier_stages(work), *_changes(work.taken)):
             display.say(line)
         settled = run.all_settings() | (vars(work.goal) if auto else {})
-        purse = Purse(work.request.budget)
         with listening(display.counted), _board(run, settled) as board, _log(run) as log:
 
             def told(event: Event) -> None:
@@ -201,13 +197,13 @@ def carry_out(work: Work, display: ProgressDisplay, watch: UserWatch | None = No
                     raise _StopTraining
 
             device = _device(work, display)
-            about = display.working, device, work.request.checkpoint_seconds, purse
+            about = display.working, device, work.request.checkpoint_seconds, work.purse
             training = Training(run, told, *about)
             try:
                 found = train_until(training, work.goal) if auto else train(training, work.stage)
             except _StopTraining:
                 found = [load_result(run.folder / name / "result.json") for name in run.stages]
-    return Outcome(work, found, purse)
+    return found
 
 
 @contextmanager
