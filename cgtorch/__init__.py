@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from cgtorch.domains.data_files import read_data as read_data
+    from cgtorch.domains.data_files import write_data as write_data
     from cgtorch.domains.domain import Domain as Domain
     from cgtorch.domains.files import Files as Files
     from cgtorch.domains.models import Models as Models
@@ -55,19 +57,14 @@ if TYPE_CHECKING:
 
 # Torch takes a second to import, so that a name is looked up once somebody asks for it.
 _FOLDERS = {
-    "domains": (
-        "Domain",
-        "DomainSettings",
-        "Field",
-        "Files",
-        "Models",
-        "Pictures",
-        "ProtectiveStop",
-        "RobotDriver",
-        "ScenarioBatch",
-        "World",
-        "option",
-    ),
+    "domains.data_files": ("read_data", "write_data"),
+    "domains.domain": ("Domain",),
+    "domains.files": ("Files",),
+    "domains.models": ("Models",),
+    "domains.pictures": ("Pictures",),
+    "domains.robot": ("ProtectiveStop", "RobotDriver"),
+    "domains.settings": ("DomainSettings", "option"),
+    "domains.world": ("World",),
     "evolution": ("EvolutionSettings", "Search", "ask", "evolve", "initial_state", "tell"),
     "graphs": (
         "Action",
@@ -79,7 +76,8 @@ _FOLDERS = {
         "resolve_actions",
         "save_skill",
     ),
-    "ground.environment": ("Environment", "Lanes"),
+    "ground.environment": ("Environment", "Lanes", "ScenarioBatch"),
+    "ground.fields": ("Field",),
     "report": ("draw_skill",),
     "simulation": ("rollout",),
     "simulation.stepper": ("Request", "Stepper"),

@@ -8,7 +8,7 @@ import pytest
 import torch
 from support import seeded
 
-from cgtorch.domains import Domain
+from cgtorch import Domain
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.exploration import Exploration
 from cgtorch.domains.knowledge import Knowledge

@@ -9,8 +9,7 @@ import torch
 from support import seeded
 from torch import Generator, Tensor
 
-from cgtorch import Pictures
-from cgtorch.domains import Domain, Field, ScenarioBatch, World
+from cgtorch import Domain, Field, Pictures, ScenarioBatch, World
 from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, Graphs, Step, Test, from_networkx
 from cgtorch.graphs.view import View
 from cgtorch.ground.environment import Lanes

@@ -17,7 +17,7 @@ from cgtorch.improvement.events import ModelSummary, S, Watch
 
 Models: TypeAlias = Any
 """Γ and C with their data. Improvement passes them on without looking at them. For a `Domain` they
-are `cgtorch.domains.Knowledge`, or None without models."""
+are `cgtorch.domains.knowledge.Knowledge`, or None without models."""
 
 Imagine: TypeAlias = Callable[[Models, S, Tensor, int, Generator, torch.device | str], Environment]
 """Makes the environment of an evolution, from Γ and C or from the world itself. The arguments are

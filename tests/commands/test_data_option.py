@@ -13,7 +13,7 @@ import torch
 from command_line import Shell, listing
 from torch import Generator
 
-from cgtorch.domains import read_data
+from cgtorch import read_data
 from cgtorch.domains.exploration import FEWEST, LEAST
 from cgtorch.domains.knowledge import MOST_LABELS, MOST_TRANSITIONS
 from cgtorch.ground.environment import Dataset

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from cgtorch.domains import Field, read_data
+from cgtorch import Field, read_data
 from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError
 

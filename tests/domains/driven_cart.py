@@ -10,7 +10,7 @@ import networkx as nx
 import torch
 from support import seeded
 
-from cgtorch.domains import Field
+from cgtorch import Field
 from cgtorch.domains.live import OnRobot, domain_of_driver, on_robot
 from cgtorch.domains.robot import RobotDriver
 from cgtorch.graphs import Graphs, Skill, from_networkx

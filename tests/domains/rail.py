@@ -6,7 +6,7 @@ import torch
 from support import seeded
 from torch import Generator, Tensor
 
-from cgtorch.domains import Domain, DomainSettings, Field, ScenarioBatch, World, option
+from cgtorch import Domain, DomainSettings, Field, ScenarioBatch, World, option
 from cgtorch.domains.exploration import random_controls
 from cgtorch.domains.models import Models
 from cgtorch.ground.environment import Dataset, start_lanes

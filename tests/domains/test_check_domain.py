@@ -14,7 +14,7 @@ from rail import Cart, Carts, Rail, SeeingCart
 from support import seeded
 from torch import Tensor
 
-from cgtorch.domains import Field
+from cgtorch import Field
 from cgtorch.domains import domain as domains
 from cgtorch.domains.check import check_domain
 from cgtorch.ground.environment import Environment, Lanes, Rewarded, ScenarioBatch

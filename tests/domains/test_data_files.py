@@ -17,7 +17,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from cgtorch.domains import Field, read_data, write_data
+from cgtorch import Field, read_data, write_data
 from cgtorch.domains.data_files import check_enough, units_of
 from cgtorch.domains.data_tables import as_csv
 from cgtorch.ground.environment import Dataset

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from cart_data import CONTROL, GOOD, PERCEPT, refused, same_bits, some_data, written
 
-from cgtorch.domains import read_data, write_data
+from cgtorch import read_data, write_data
 from cgtorch.ground.errors import DataError
 
 COLUMNS: dict[str, list[Any]] = {

@@ -10,7 +10,7 @@ import pytest
 import torch
 from cart_data import CONTROL, PERCEPT, refused, same_bits
 
-from cgtorch.domains import read_data
+from cgtorch import read_data
 
 
 def episode(steps: int = 3, number: int = 0) -> dict[str, Any]:

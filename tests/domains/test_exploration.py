@@ -15,7 +15,7 @@ from rail import END, LAMP, PLACE, Cart, Rail, SeeingCart, driven
 from support import models_of, seeded
 from torch import Generator, Tensor
 
-from cgtorch.domains import Field
+from cgtorch import Field
 from cgtorch.domains.exploration import (
     BOLD,
     CANDIDATES,

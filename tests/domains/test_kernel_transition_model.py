@@ -11,7 +11,7 @@ from rail import END, GEAR, LAMP, PLACE, WIND, Cart, SeeingCart, driven
 from support import models_of, seeded
 from torch import Tensor
 
-from cgtorch.domains import Field
+from cgtorch import Field
 from cgtorch.domains.reports import TransitionReport
 from cgtorch.domains.transition import Grid, KernelTransitionModel, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model

@@ -10,7 +10,7 @@ from rail import Cart, Rail
 from support import seeded
 from torch import Tensor
 
-from cgtorch.domains import World
+from cgtorch import World
 from cgtorch.ground.dry_run import check_environment
 from cgtorch.ground.environment import Environment, Rewarded, start_lanes
 

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgtorch.domains import write_data
+from cgtorch import write_data
 from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError, SettingsError
 from cgtorch.runs.settings import RunSettings

@@ -18,7 +18,7 @@ from benchmarks.measure import (
     run_threads,
 )
 from benchmarks.workload import GENERATIONS, Workload, first_population, later_population, workload
-from cgtorch.domains import World
+from cgtorch import World
 from cgtorch.graphs import Action, ActionSet, ContinuousNN, Graphs, Step
 from cgtorch.ground.environment import Environment, Lanes, ScenarioBatch
 from cgtorch.simulation import Rollouts, rollout

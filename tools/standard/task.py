@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.domains import World
+from cgtorch import World
 from cgtorch.ground.environment import Environment, Lanes, ScenarioBatch
 
 STEPS, RETURN, OVER = -3, -2, -1
