@@ -11,6 +11,7 @@ from rich.console import Console
 
 from cgtorch.report import final_table
 from cgtorch.report.page import report_page
+from cgtorch.runs.log import LOG, Row, read_log
 from cgtorch.runs.stored_run import read_run
 
 REFERENCE = Path(__file__).parents[1] / "runs" / "reference"
@@ -27,22 +28,28 @@ HOSTILE = (
 """What names could be; none of it may become anything but text."""
 
 
-def thinned(target: Path, *stages: str, models: bool = True, events: bool = True) -> Path:
+def thinned(target: Path, *stages: str, models: bool = True, generations: bool = True) -> Path:
     """A copy of the reference run with some of its stages, as if the others were not made."""
-    skipped = {"summary.json", *(name for name in STAGES if name not in stages)}
+    skipped = {LOG, "by_rows", *(name for name in STAGES if name not in stages)}
     shutil.copytree(REFERENCE, target, ignore=lambda where, names: skipped & set(names))
-    for name in stages if models else ():
-        if not (target / name / "gamma.safetensors").is_file():
-            for path in (REFERENCE / "S3").glob("*.safetensors"):
-                shutil.copy(path, target / name)
-    index = json.loads((target / "ledger" / "index.json").read_text())
-    index["skills"] = [line for line in index["skills"] if line["name"] in stages]
-    rewrite(target / "ledger" / "index.json", index)
-    if not events:
-        shutil.rmtree(target / "by_rows")
-        for path in target.glob("events.out*"):
-            path.unlink()
+    left = {name for name, kept in (("models", models), ("generation", generations)) if not kept}
+    write_log(target, [
+        row for row in read_log(REFERENCE)
+        if row["event"] not in left and (row["event"] != "ended" or len(stages) == len(STAGES))
+        and row["stage"] in ("start", *STAGES[: len(stages) + 1])
+        and (row["event"] not in ("accepted", "result") or row["stage"] in stages)
+    ])  # fmt: skip
     return target
+
+
+def write_log(run: Path, rows: list[Row]) -> None:
+    (run / LOG).write_text("".join(json.dumps({"time": 0, **row}) + "\n" for row in rows))
+
+
+def change_rows(run: Path, event: str, **values: Any) -> None:
+    """Give all rows of a kind other values."""
+    lines = [json.loads(line) for line in (run / LOG).read_text().splitlines()]
+    write_log(run, [row | values if row["event"] == event else row for row in lines])
 
 
 def rewrite(path: Path, data: Any) -> None:
@@ -58,19 +65,14 @@ def hostile_run(target: Path) -> Path:
     """A run with one stage in which every text that can be is hostile."""
     folder = thinned(target / f"run {HOSTILE[1]} ' {{{{ 7 * 191 }}}} $", "S0")
     one = "".join(HOSTILE)
-    history = [
-        {"before": one, "changed": {one: [one, one], "population": [one, 600]}},
-        {"before": "S1", "changed": one},
-        one,
-    ]
-    changed(folder / "run.json", cgtorch=one, torch={one: [one]}, history=history)
+    changed(folder / "run.json", cgtorch=one, torch={one: [one]})
     changed(folder / "robot" / "robot.json", name=one)
     score = {"scenarios": one, "tried": 4, "succeeded": 3}
-    changed(
-        folder / "S0" / "result.json", stage=one, scenarios=one, fresh=score, overall=score,
-        search_seconds=one,
-    )  # fmt: skip
-    rewrite(folder / "summary.json", {"target": one, "minutes": one, one: one})
+    change_rows(folder, "result", scenarios=one, fresh=score, overall=score)
+    change_rows(folder, "candidate", candidate=one)
+    change = {"event": "changed", "stage": one, "set_aside": None}
+    change["changed"] = {one: [one, one], "population": [one, 600], "torch": [one]}
+    write_log(folder, [*read_log(folder), change])
     text = (folder / "S0" / "skill.json").read_text()
     skill = json.loads(text.replace('"S0.1', json.dumps(one)[:-1]))
     rewrite(folder / "S0" / "skill.json", skill | {"name": one})

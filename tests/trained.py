@@ -69,10 +69,7 @@ def _train(folder: Path) -> None:
 
 def copied(trained: Trained, target: Path, stages: tuple[str, ...] = ("S0", "S1")) -> Path:
     """A copy of the run with some of its stages only."""
-    without = {"S0", "S1"} - set(stages)
-    if not stages:
-        without.add("ledger")
-    skipped = shutil.ignore_patterns("summary.json", "events*", *without)
+    skipped = shutil.ignore_patterns("events*", *({"S0", "S1"} - set(stages)))
     shutil.copytree(trained.folder, target, ignore=skipped)
     return target
 

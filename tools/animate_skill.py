@@ -14,7 +14,7 @@ from torch import Tensor
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # which MuJoCo reads when it is imported
 
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 from cgtorch.tabletop.physics.film import animated, pictures_of
 from cgtorch.tabletop.viewer.execution import execute, scenario_of
 from cgtorch.tabletop.world import Scenarios

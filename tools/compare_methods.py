@@ -29,8 +29,8 @@ from cgtorch.ground.files import read_json, write_bytes, write_json
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.setup import Budget, Progress, Setup
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.settings import RunSettings, defaults_of
+from cgtorch.runs.log import LOG
+from cgtorch.runs.settings import Goal, RunSettings, defaults_of
 from cgtorch.runs.stored_run import StoredRun, planned_run, read_run, round_name, write_run
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import ENOUGH, act, train_until
@@ -220,6 +220,7 @@ def compare(
         own = replace(settings, method="compose" if name in DEFAULTS else "paper")
         run, begin = begun(place, own), beginning(folder, own)
         shutil.copytree(begin.folder / "start", place / "start")
+        shutil.copy(begin.folder / LOG, place / LOG)
         meter, failure = Meter(run, placements), None
         try:
             METHODS[name](run, meter, limit)

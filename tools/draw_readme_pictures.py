@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 
 from cgtorch.report import draw_skill
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 from cgtorch.training.evaluate import evaluate_skill
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -3,8 +3,8 @@
     python tools/fingerprint.py [--stage S0] [--seed 0] [--ranks 1 --ranks 2 ...] [--note]
 
 Machines of one kind, that is, with the same CPU, compiler, C library and version of torch, print
-the same fingerprint with any number of ranks: the same skills, W, M, ledgers and history of
-fitness, bit for bit. The population of 61 is divisible by no number of ranks.
+the same fingerprint with any number of ranks: the same skills, W, M, models and log, bit for bit.
+The population of 61 is divisible by no number of ranks.
 
 `tools/fingerprints.json` contains the known fingerprint of each kind of machine. If it has another
 one for this kind, or numbers of ranks differ, the exit code is 1. `--note` adds a new kind.

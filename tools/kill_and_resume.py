@@ -3,8 +3,8 @@
     python tools/kill_and_resume.py FOLDER [--kills 50] [--stage S3] [--seed 0] [--world mujoco]
 
 A small run is made once without a disturbance, then again and again under `kill -9`, until it has
-survived the given number of kills. Runs are equal if all skills, W, M, ledgers and results except
-times, data and models, and the whole history of fitness in TensorBoard, are equal.
+survived the given number of kills. Runs are equal if all skills, W, M, data and models are equal,
+and the whole log except times and interruptions.
 """
 
 import random
@@ -19,9 +19,9 @@ from typing import Any
 
 import click
 from safetensors.torch import load
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from cgtorch.ground.files import read_json
+from cgtorch.runs.log import read_log
 from cgtorch.svm.storage import notes_of
 
 SMALL = [
@@ -33,8 +33,8 @@ SIZES = {
     "mujoco": ["--practice", "4", "--transitions", "100"],
 }
 """Of the runs, by the world that they are made in."""
-TIMES = ("seconds", "search_seconds")
-FITNESS = ("fitness/best", "fitness/mean", "solved/W", "solved/M")
+TIMES = ("time", "seconds", "search_seconds")
+OF_INTERRUPTIONS = ("recalled", "damaged", "changed", "ended")
 
 
 @click.command()
@@ -82,18 +82,15 @@ def train(run: Path, words: list[str], seconds: float | None = None) -> bool:
 
 
 def results_of(run: Path) -> dict[str, Any]:
-    """All results of a run except times: its files by name, and its history of fitness."""
+    """All results of a run except times: its files by name, and its log."""
     names = [p for p in sorted(run.rglob("*.json")) if p.name != "run.json"]
     found = {str(p.relative_to(run)): timeless(read_json(p)) for p in names}
     for path in sorted(run.rglob("*.safetensors")):
         data = path.read_bytes()  # whose notes are in any order
         tensors = {n: sha256(x.numpy().tobytes()).hexdigest() for n, x in load(data).items()}
         found[str(path.relative_to(run))] = notes_of(data), tensors
-    events = EventAccumulator(str(run), size_guidance={"scalars": 0})
-    events.Reload()
-    for tag in FITNESS:
-        found[tag] = [(e.step, e.value) for e in events.Scalars(tag)]
-    return found
+    rows = (row for row in read_log(run) if row["event"] not in OF_INTERRUPTIONS)
+    return {**found, "log.jsonl": [timeless(row) for row in rows]}
 
 
 def check_same(run: Path, wanted: dict[str, Any]) -> None:

@@ -19,7 +19,8 @@ from pathlib import Path
 
 import click
 
-from cgtorch.ground.files import JsonLines, read_json
+from cgtorch.ground.files import JsonLines
+from cgtorch.runs.log import read_log
 
 DRIVER = "cgtorch.tabletop.stand_in:StandIn"
 
@@ -87,11 +88,11 @@ def main(folder: Path, kills: int, stages: tuple[str, ...], seed: int, world: st
 def report(folder: Path, kills: int, code: int) -> None:
     """Say what was compared; an error if an action was lost or repeated."""
     did = Counter(row["what"] for row in JsonLines(folder / "robot.jsonl").rows())
-    rows = list(JsonLines(folder / "run" / "log.jsonl").rows())
+    rows = read_log(folder / "run")
     said = Counter(row["what"] for row in rows if row["event"] == "action")
     ends = Counter(row["episode"] for row in rows if row["event"] == "episode")
     lost = sum(did.values()) - sum(said.values())
-    asked = read_json(folder / "run" / "summary.json")["stages"][-1]["asked"]
+    asked = [row["asked"] for row in rows if row["event"] == "result"][-1]
     counted = sum(phase["motions"] + phase["tests"] for phase in asked.values())
     click.echo(
         f"{kills} kills, exit code {code}; the robot did {dict(did)}, the log has {dict(said)}, "

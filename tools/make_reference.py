@@ -24,8 +24,7 @@ from make_figures import pages, rewrite
 
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.settings import MOST
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.tabletop.settings import TabletopSettings
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -8,13 +8,13 @@ from pathlib import Path
 import click
 
 FOLDER = Path(__file__).resolve().parent.parent / "runs" / "reference"
-KEPT = ("run.json", "summary.json", "robot", "ledger", "by_rows", "S0", "S1", "S2", "S3")
+KEPT = ("run.json", "log.jsonl", "robot", "by_rows", "S0", "S1", "S2", "S3")
 """The files that are kept, besides TensorBoard's: those for evaluation, and the last models."""
 
 
 @click.command()
 def main() -> None:
-    """Train with seed 3 and keep the skills, the settings and the TensorBoard files."""
+    """Train with seed 3 and keep the skills, the settings, the log and the TensorBoard files."""
     shutil.rmtree(FOLDER, ignore_errors=True)
     train = [Path(sys.executable).parent / "cgtorch-train", "--stage", "S3", "--seed", "3"]
     subprocess.run([*train, "--run-dir", FOLDER], check=True)

@@ -31,6 +31,7 @@ from options.seeds import seeds_option
 from cgtorch.commands.train import command as train
 from cgtorch.domains.gymnasium_world import Episode, VectorSteps
 from cgtorch.ground.files import read_json, write_json
+from cgtorch.runs.log import read_log
 
 TASKS: dict[str, list[str]] = {
     "CartPole-v1": [],
@@ -81,17 +82,20 @@ def measured(folder: Path, rounds: int, environment: str, seed: int) -> dict[str
     wanted = read_json(run / "gymnasium.json")["target_return"]
     found = read_json(kept)
     solved = found["mean_return"] is not None and found["mean_return"] >= wanted
-    made = len(read_json(run / "summary.json")["stages"])
+    made = len(_ends(run, "result"))
     origin = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
     return {**origin, "solved": solved, **found}
 
 
 def _ended(run: Path, rounds: int) -> bool:
     """Whether a run has reached its goal, or has made so many rounds."""
-    if not (run / "summary.json").is_file():
-        return False
-    summary = read_json(run / "summary.json")
-    return bool(summary["reached"]) or len(summary["stages"]) >= rounds
+    ended = _ends(run, "ended")
+    return bool(ended) and (ended[-1]["reached"] or len(_ends(run, "result")) >= rounds)
+
+
+def _ends(run: Path, event: str) -> list[dict[str, Any]]:
+    """The rows of the run's log of one kind."""
+    return [row for row in read_log(run) if row["event"] == event]
 
 
 def counted(training: Callable[[], Any]) -> dict[str, float]:

@@ -26,8 +26,7 @@ from cgtorch.domains.exploration import EXPLORATION
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.files import read_json, write_json
 from cgtorch.improvement.events import Event, Practised, WorldAsked
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.settings import RunSettings, defaults_of
+from cgtorch.runs.settings import Goal, RunSettings, defaults_of
 from cgtorch.runs.stored_run import StoredRun, planned_run, write_run
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import train_until

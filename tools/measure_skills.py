@@ -22,8 +22,8 @@ from options.seeds import seeds_option
 
 from cgtorch.graphs import Skill
 from cgtorch.ground.files import read_json, write_bytes, write_json
-from cgtorch.runs.ledger import read_index
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
+from cgtorch.runs.log import read_log
 from cgtorch.training.evaluate import evaluate_skill
 
 KINDS: dict[str, tuple[list[str], list[str]]] = {
@@ -86,7 +86,7 @@ def measured(
     scores = [
         evaluate_skill(skill, run.domain, name, count, FRESH_SEED + seed) for name in placements
     ]
-    stages: list[dict[str, Any]] = read_json(run_folder / "summary.json")["stages"]
+    stages, log = run.results, read_log(run_folder)
     result = {
         "kind": kind,
         "seed": seed,
@@ -98,7 +98,7 @@ def measured(
         "rounds": len(stages),
         "generations": sum(stage["generations"] for stage in stages),
         "transitions": sum(stage["transitions"] for stage in stages),
-        "w_lost": sum(entry["w_lost"] for entry in read_index(run_folder)),
+        "w_lost": sum(row["w_lost"] for row in log if row["event"] == "accepted"),
         "nodes": skill.num_nodes,
         "largest": largest(skill),
     }

@@ -18,7 +18,7 @@ from solvability.ways import fewest_moves
 from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.world import DRAWS, Scenarios
 from cgtorch.training.evaluate import evaluate_skill

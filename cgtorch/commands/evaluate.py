@@ -14,7 +14,7 @@ from cgtorch.ground.statistics import wilson
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
-    from cgtorch.runs.skills import Chosen
+    from cgtorch.runs.chosen import Chosen
     from cgtorch.training.evaluate import Score
 
 PICTURED = 24
@@ -64,7 +64,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
         from cgtorch import native
         from cgtorch.domains.domain import in_world, other_measures
         from cgtorch.ground.distributed import cores
-        from cgtorch.runs.skills import chosen_skill
+        from cgtorch.runs.chosen import chosen_skill
         from cgtorch.training.evaluate import evaluate_skill
 
     torch.set_num_threads(1)
@@ -120,7 +120,7 @@ def _of_run(
     chosen: "Chosen", score: "Score", seed: int, quiet: bool
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """The shares of predicted successes, and of W under other noise; None without models, W."""
-    from cgtorch.runs.ledger import read_index
+    from cgtorch.runs.log import read_log
     from cgtorch.runs.storage import CLASSIFIER, GAMMA, load_knowledge
     from cgtorch.training.evaluate import robust_successes
 
@@ -130,8 +130,8 @@ def _of_run(
         knowledge = load_knowledge(stage, run.models.unfitted())
         with common.waiting(f"predicting robust successes of {skill.name}", quiet):
             kept = robust_successes(score, skill, knowledge, run.models, seed)
-    index = {line["name"]: line for line in read_index(run.folder)}
-    met = index.get(skill.name, {}).get("w_other_noise")
+    accepted = (row for row in read_log(run.folder) if row["event"] == "accepted")
+    met = {row["skill"]: row["w_other_noise"] for row in accepted}.get(skill.name)
     predicted = None if kept is None else _share(kept.successes, kept.tried)
     return predicted, met and _share(met["succeeded"], met["tried"])
 

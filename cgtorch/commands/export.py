@@ -63,7 +63,7 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **abo
     kind = about.pop("scenarios")
     if form == "data":
         from cgtorch.domains.data_files import write_data
-        from cgtorch.runs.stored_data import stored_data
+        from cgtorch.runs.chosen import stored_data
 
         found = stored_data(path, about["name"], about["actions"], about["domain"])
         data, domain = found.dataset, found.run.domain
@@ -74,7 +74,7 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **abo
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.export import SIZED
     from cgtorch.ground.files import write_bytes
-    from cgtorch.runs.skills import chosen_skill
+    from cgtorch.runs.chosen import chosen_skill
 
     chosen = chosen_skill(path, kind=kind, **about)
     sizes = {"percept_size": len(chosen.domain.percept)} if form in SIZED else {}

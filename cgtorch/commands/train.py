@@ -12,8 +12,7 @@ from cgtorch.commands import common, completion
 from cgtorch.domains.registry import check_options, domain_class, is_code, settings_class
 from cgtorch.ground.errors import CgtorchError, SettingsError
 from cgtorch.ground.files import read_json
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.settings import NAMES, RunSettings, defaults_of, help_of, option_of
+from cgtorch.runs.settings import NAMES, Goal, RunSettings, defaults_of, help_of, option_of
 
 EXAMPLES = """\b
 Examples:

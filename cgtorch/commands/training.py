@@ -12,9 +12,9 @@ from cgtorch.domains.registry import TABLETOP, is_code, with_name
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.ground import distributed as ranks
 from cgtorch.report import ProgressDisplay, final_table
-from cgtorch.report.event_messages import asked_of
+from cgtorch.report.messages import asked_of
+from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.settings import RunSettings
-from cgtorch.runs.skills import last_skill
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.training.auto import reached
 from cgtorch.training.session import (

@@ -13,7 +13,7 @@ from cgtorch.commands.completion import runs_or_skills
 from cgtorch.ground.errors import SettingsError
 
 if TYPE_CHECKING:
-    from cgtorch.runs.skills import Chosen
+    from cgtorch.runs.chosen import Chosen
     from cgtorch.tabletop.viewer.timeline import Candidate
 
 EXAMPLES = """\b
@@ -134,8 +134,8 @@ def _offer(
     """The skill of a path, and all skills of its run."""
     from cgtorch.domains.domain import in_world
     from cgtorch.domains.registry import TABLETOP
-    from cgtorch.runs.ledger import read_entry, read_index
-    from cgtorch.runs.skills import chosen_skill, stored_domain
+    from cgtorch.graphs import load_skill
+    from cgtorch.runs.chosen import chosen_skill, stored_domain
     from cgtorch.tabletop.domain import Tabletop
     from cgtorch.tabletop.viewer.timeline import Candidate
 
@@ -150,8 +150,9 @@ def _offer(
         domain = in_world(domain, world)
     assert isinstance(domain, Tabletop)  # noqa: S101  it is about no other
     if run is not None:
-        names = [line["name"] for line in read_index(run.folder)]
-        skills = {n: read_entry(run.folder, n, run.actions, run.like()).skill for n in names}
+        files = (run.folder / name / "skill.json" for name in run.stages)
+        made = (load_skill(path, run.actions) for path in files)
+        skills = {skill.name: skill for skill in made}
     skills |= {chosen.skill.name: chosen.skill}
     return chosen, {n: Candidate(s, domain) for n, s in skills.items()}
 

@@ -246,20 +246,17 @@ def swift_gamma(gamma: TransitionModel, dataset: Dataset) -> TransitionModel:
 
 def summary_of(knowledge: Knowledge) -> ModelSummary:
     """The results of cross-validation, or, after learning, whether new models were accepted."""
-    rows = rows_of(knowledge)
+    rows, classifier = rows_of(knowledge), knowledge.classifier_report
+    reports = {"gamma": knowledge.gamma_report, "classifier": classifier}
     if knowledge.acceptances is not None:
         said = "; ".join(map(_learned, ("Γ", "C"), knowledge.acceptances))
-        return ModelSummary(f"{said}; now from {rows}", {"models/rows": _moves(knowledge)})
-    classifier = knowledge.classifier_report
+        scalars = {"models/rows": _moves(knowledge)}
+        return ModelSummary(f"{said}; now from {rows}", scalars, reports)
     text = (
         f"Γ errs by {_errors(knowledge.gamma_report)}, "
         f"the balanced accuracy of C is {100 * classifier.balanced_accuracy:.1f} %; {rows}"
     )
-    curves = {
-        "gamma": knowledge.gamma_report.learning_curve,
-        "classifier": classifier.learning_curve,
-    }
-    return ModelSummary(text, scalars_of(knowledge), curves, classifier.reliability, first=True)
+    return ModelSummary(text, scalars_of(knowledge), reports, first=True)
 
 
 def scalars_of(knowledge: Knowledge) -> dict[str, float]:

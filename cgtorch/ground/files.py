@@ -87,11 +87,14 @@ def read_json(
     """
     raw = read_bytes(path, max_bytes, error)
     try:
-        return json.loads(
-            raw.decode(), parse_constant=_refuse, parse_float=_finite, object_pairs_hook=_unique
-        )
+        return strict_json(raw.decode())
     except (ValueError, RecursionError) as e:
         raise error(f"{str(path)!r} is not proper JSON ({_reason(e)}); restore the file") from e
+
+
+def strict_json(text: str) -> Any:
+    """Parse JSON; ValueError or RecursionError also for duplicate keys and infinite numbers."""
+    return json.loads(text, parse_constant=_refuse, parse_float=_finite, object_pairs_hook=_unique)
 
 
 @contextmanager
@@ -146,8 +149,11 @@ class JsonLines:
         with writing(self.path):
             file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
             try:
-                os.write(file, data)
+                self._whole = False  # until all of it is on the disk, which may be full
+                while data:
+                    data = data[os.write(file, data) :]
                 os.fsync(file)
+                self._whole = True
             finally:
                 os.close(file)
 
@@ -160,8 +166,8 @@ class JsonLines:
                 if not line.endswith("\n"):
                     return  # it is torn, or about to be written
                 try:
-                    row = json.loads(line)
-                except ValueError:
+                    row = strict_json(line)
+                except (ValueError, RecursionError):
                     row = None
                 if not isinstance(row, dict):
                     raise RunError(

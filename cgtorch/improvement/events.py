@@ -1,8 +1,8 @@
-"""Events of improvement, for observers: the display, TensorBoard, the ledger."""
+"""Events of a training, for observers: the log, the display, TensorBoard."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Generic, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from torch import Tensor
 
@@ -11,7 +11,6 @@ from cgtorch.graphs import Skill
 from cgtorch.ground.asked import Asked
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.improvement.checkpoint import Found
-from cgtorch.svm import LearningCurve
 
 S = TypeVar("S", bound=ScenarioBatch)
 """The scenarios of a world."""
@@ -43,16 +42,13 @@ class ModelSummary:
     Attributes:
         text: One line for a display.
         scalars: Numbers by their TensorBoard tag.
-        curves: Learning curves by the name of the model.
-        reliability: For each bin of C's probability: its mean, the frequency of success, and the
-            number of rows.
+        reports: The reports of the fits, "gamma" and "classifier" (`cgtorch.domains.reports`).
         first: Whether these are the first models of a run.
     """
 
     text: str
     scalars: Mapping[str, float] = field(default_factory=dict)
-    curves: Mapping[str, LearningCurve | None] = field(default_factory=dict)
-    reliability: tuple[tuple[float, float, int], ...] = ()
+    reports: Mapping[str, Any] = field(default_factory=dict)
     first: bool = False
 
 
@@ -159,7 +155,8 @@ class SkillAccepted(Event, Generic[S]):
 
     `succeeded` (B,) is its result on each of `scenarios`; `keep` (B,) bool marks those of W,
     `targets` (B,) bool the stage's test scenarios. `other_noise` is how much of what it had solved
-    it solved under other noise, and how much that was; None if it was not tried.
+    it solved under other noise, and how much that was; None if it was not tried. `parent` is the
+    name of the skill that it improves, None for the first.
     """
 
     stage: str
@@ -170,6 +167,7 @@ class SkillAccepted(Event, Generic[S]):
     targets: Tensor
     seconds: float
     other_noise: tuple[int, int] | None = None
+    parent: str | None = None
 
 
 @dataclass(frozen=True)
@@ -188,6 +186,28 @@ class FreshTested(Event):
     target: float
     decisive: bool
     mean_return: float | None = None
+
+
+@dataclass(frozen=True)
+class StageFinished(Event):
+    """A stage or round is stored, with this `result`: the row of the log."""
+
+    stage: str
+    result: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class TrainingEnded(Event):
+    """A training ended after what was asked for: up to `stage`, or "auto" with a goal.
+
+    `reached` is whether the goal was reached, None without one.
+    """
+
+    stage: str
+    reached: bool | None = None
+    target: float | None = None
+    minutes: float | None = None
+    rounds: int | None = None
 
 
 Watch: TypeAlias = Callable[[Event], None]

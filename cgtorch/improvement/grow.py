@@ -59,7 +59,9 @@ def grow(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Pro
     if accepted is None:
         return replace(progress, knowledge=knowledge)
     result = scenarios, solved, first, targets
-    setup.watch(SkillAccepted(setup.name, accepted, *result, time.perf_counter() - began))
+    parent = None if progress.skill is None else progress.skill.name
+    seconds = time.perf_counter() - began
+    setup.watch(SkillAccepted(setup.name, accepted, *result, seconds, parent=parent))
     seen = torch.cat([percepts[solved], percepts[~solved]])
     progress = replace(progress, solved=scenarios[solved], missed=scenarios[~solved], seen=seen)
     return replace(progress, skill=accepted, knowledge=knowledge)

@@ -91,7 +91,8 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         return replace(progress, skill=skill)
     if not accepted:
         return progress
-    _report_accepted(setup, state, skill, time.perf_counter() - began)
+    parent = None if progress.skill is None else progress.skill.name
+    _report_accepted(setup, state, skill, time.perf_counter() - began, parent)
     (rest, seen), scenarios, percepts = state.rest, state.scenarios, state.percepts
     good, bad = state.tried & state.keep, state.tried & ~state.keep
     return replace(
@@ -153,7 +154,9 @@ def _looks(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> t
     return draw(len(seen), setup.generator), seen
 
 
-def _report_accepted(setup: Setup[S], state: StageState[S], skill: Skill, seconds: float) -> None:
+def _report_accepted(
+    setup: Setup[S], state: StageState[S], skill: Skill, seconds: float, parent: str | None
+) -> None:
     """Report the new skill with its result on all scenarios that were tried, and on the rest."""
     rows, rest = state.tried, state.rest[0]
     keep, known, targets = (
@@ -161,7 +164,7 @@ def _report_accepted(setup: Setup[S], state: StageState[S], skill: Skill, second
         for column, value in ((state.keep, 1), (state.known, 1), (state.targets, 0))
     )
     noise = state.other_noise if state.judged is state.current else None
-    about = state.scenarios[rows].joined(rest), keep, known, targets, seconds, noise
+    about = state.scenarios[rows].joined(rest), keep, known, targets, seconds, noise, parent
     setup.watch(SkillAccepted(setup.name, skill, *about))
 
 

@@ -5,10 +5,20 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from cgtorch.graphs import Skill
+from cgtorch.graphs import (
+    Action,
+    BranchingNN,
+    ContinuousNN,
+    DelayNN,
+    Perceive,
+    RecurrentNN,
+    Skill,
+    Step,
+    Test,
+)
 from cgtorch.graphs.clusters import Cluster, Edge, Node, clusters_of
 from cgtorch.ground.errors import printable
-from cgtorch.report.placing import Box, Placement, Point, Route, pieces, place
+from cgtorch.report.layout import Box, Placement, Point, Route, pieces, place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,19 +28,16 @@ NODE_TEXT, LABEL_TEXT, TITLE_TEXT = 9.0, 7.5, 9.5
 MARGIN, PADDING, TITLE = 0.12, 0.18, 0.22
 LINE, BACK, FAINT, INK = "#555555", "#8a6d3b", "#d0d4d9", "#1c1f24"
 START, END_GOOD, END_BAD = "#d62728", "#1a7f37", "#8c2f39"
-COLOURS = {
-    "MoveBase": "#bcdcf5",
-    "Detect": "#cfeede",
-    "Grasp": "#fbdca6",
-    "ContinuousNN": "#dcd0f2",
-    "EdgeNN": "#dcd0f2",
-    "LinearNN": "#dcd0f2",
-    "DelayNN": "#dcd0f2",
-    "EdgeWayNN": "#dcd0f2",
-    "RecurrentNN": "#dcd0f2",
-    "BranchingNN": "#f6cadd",
-    "EdgeBranchingNN": "#f6cadd",
+COLOURS: dict[type[Action], str] = {
+    Step: "#bcdcf5",
+    Perceive: "#cfeede",
+    Test: "#fbdca6",
+    BranchingNN: "#f6cadd",
+    ContinuousNN: "#dcd0f2",
+    DelayNN: "#dcd0f2",
+    RecurrentNN: "#dcd0f2",
 }
+"""Colours of actions by their kind; all others take turns."""
 OTHERS = ("#e6e6b8", "#c9e3e6", "#ead3c0", "#d5dbe3")
 SKILL_FILL, SKILL_RIM = "#ffffff", "#3b4a6b"
 
@@ -157,9 +164,10 @@ def _draw_node(axes: "Axes", cluster: Cluster, node: Node, box: Box, origin: Poi
     from matplotlib.patches import FancyBboxPatch
 
     is_start = node.key == cluster.start
-    # The paper's actions have colours of their own, others take turns.
-    turn = cluster.skill.actions.index(node.name) % len(OTHERS)
-    fill, rim = COLOURS.get(node.name) or OTHERS[turn], LINE
+    index = cluster.skill.actions.index(node.name)
+    action = cluster.skill.actions.actions[index]
+    kinds = (colour for kind, colour in COLOURS.items() if isinstance(action, kind))
+    fill, rim = next(kinds, OTHERS[index % len(OTHERS)]), LINE
     if is_start:
         fill, rim = START, INK
     elif node.runs:

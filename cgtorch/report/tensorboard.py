@@ -2,34 +2,48 @@
 
 The step is that of the generation, counted from 0 over all stages. Other data have the step of the
 next generation. The end of a stage has its own step, so that a resumed run can hide exactly what an
-unfinished stage wrote. With several islands, the best individual, speeds and numbers that are not
-finite are those of all islands. All other data are those of the first, which the first rank always
-holds.
+unfinished stage wrote. Nothing here is read back: numbers are those of the log.
 """
 
+import io
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-import numpy as np
+import torch
+from torch import Tensor
 
-from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.population import STRATEGY, Population
-from cgtorch.graphs import NO_NODE, ActionSet, Graphs, Skill
+from cgtorch.graphs import ActionSet, Skill
+from cgtorch.ground.errors import RunError
 from cgtorch.improvement import events
 from cgtorch.report.graph_picture import draw_skill
-from cgtorch.report.records import Records, histograms
-from cgtorch.report.reliability_picture import draw_reliability
-from cgtorch.svm import LearningCurve
+from cgtorch.report.plots import draw_reliability
+from cgtorch.runs.log import SPREAD_EVERY, Row, generation_row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from tensorboard.compat.proto.summary_pb2 import Summary
 
+DPI = 80
+SOON = 0.5  # s after which a record is written
 BINS = 24
 STRATEGY_TAGS = [f"strategy/{name}" for name in STRATEGY]
 BY_ROWS = "by_rows"
 METRICS = ("fitness/best", "world/solved_W", "world/solved_M", "stage/targets")
+COLUMNS = {
+    "best": "fitness/best",
+    "mean": "fitness/mean",
+    "solved_w": "solved/W",
+    "solved_m": "solved/M",
+    "nodes": "graph/nodes_best",
+    "nodes_mean": "graph/nodes_mean",
+    "unsolved": "population/unsolved",
+    "not_finite": "population/not_finite",
+    "distinct_parents": "population/distinct_parents",
+}
+"""The tags of columns of a generation's row in the log."""
 
 
 class TensorBoardWatch:
@@ -44,29 +58,26 @@ class TensorBoardWatch:
         recalled: int = 0,
         actions: ActionSet | None = None,
         draw_scenarios: Callable[..., "Figure | None"] | None = None,
-        histogram_every: int = 20,
         picture_seconds: float = 60.0,
     ):
         """Open a new event file in a folder, made if missing; RunError if that cannot be written.
 
         Args:
             folder: The folder of the event files.
-            settings: Hyper-parameters by name, as for `Records`.
+            settings: Hyper-parameters by name.
             first_step: Number of first models (one step), generations and stages so far, if a run
                 is resumed. TensorBoard hides data of earlier files from this step on.
             recalled: Number of these generations that will be reported as recalled.
             actions: The actions of evolved graphs; without them, graphs are drawn only when a skill
                 is accepted.
             draw_scenarios: Draws what an accepted skill has solved (`Pictures.scenarios`).
-            histogram_every: Generations between histograms of one evolution.
             picture_seconds: Least time between pictures of later models, and of graphs that are not
                 accepted yet.
         """
         self._records = Records(folder, settings, METRICS, first_step)
         self.step, self._first, self._folder = first_step - recalled, first_step, Path(folder)
         self._actions, self._draw_scenarios = actions, draw_scenarios
-        self._histogram_every, self._picture_seconds = histogram_every, picture_seconds
-        self._last_picture = dict[str, float]()
+        self._picture_seconds, self._last_picture = picture_seconds, dict[str, float]()
         self._latest: tuple[str, Population] | None = None
         self._in_stage = False
 
@@ -91,8 +102,7 @@ class TensorBoardWatch:
             case events.ModelsFitted():
                 self._models(event)
             case events.WorldTested():
-                solved = {"world/solved_W": event.solved_w, "world/solved_M": event.solved_m}
-                self._scalars(solved)
+                self._scalars({"world/solved_W": event.solved_w, "world/solved_M": event.solved_m})
             case events.SkillAccepted():
                 self._accepted(event)
             case events.FreshTested():
@@ -116,29 +126,13 @@ class TensorBoardWatch:
     def _generation(self, event: events.GenerationDone) -> None:
         if self._latest is not None and self._latest[0] != event.candidate:
             self._evolution_over()
-        generation = event.generation
-        population, size = generation.population, len(generation.fitness)
-        # NumPy says so of arrays this small in half the time that torch takes.
-        fitness = generation.fitness.cpu().numpy()
-        counts = fitness[fitness > WORTHLESS]
-        self._scalars(
-            {
-                "fitness/best": generation.best if generation.best > WORTHLESS else np.nan,
-                "fitness/mean": float(counts.mean(dtype=np.float64)) if len(counts) else np.nan,
-                "solved/W": event.solved_w,
-                "solved/M": event.solved_m,
-                "graph/nodes_best": _nodes(generation.champion.graphs),
-                "graph/nodes_mean": _nodes(population.graphs) / size,
-                "population/unsolved": (size - len(counts) + np.count_nonzero(counts == 0)) / size,
-                "population/not_finite": generation.not_finite,
-                "population/distinct_parents": generation.distinct_parents,
-                "speed/transitions_per_second": generation.executed / max(event.seconds, 1e-9),
-            }
-        )
-        if generation.number % self._histogram_every == 0:
-            self._records.write(
-                histograms(STRATEGY_TAGS, population.strategy.cpu(), BINS), self.step
-            )
+        generation, row = event.generation, generation_row(event)
+        values = {tag: _number(row, column) for column, tag in COLUMNS.items()}
+        speed = generation.executed / max(event.seconds, 1e-9)
+        self._scalars(values | {"speed/transitions_per_second": speed})
+        if generation.number % SPREAD_EVERY == 0:
+            strategy = generation.population.strategy.cpu()
+            self._records.write(histograms(STRATEGY_TAGS, strategy, BINS), self.step)
         self._latest = event.candidate, generation.champion
         self.step += 1
 
@@ -147,10 +141,9 @@ class TensorBoardWatch:
         latest, self._latest = self._latest, None
         if latest is None or self._actions is None or self.step < self._first:
             return
-        if self._soon("graph/best"):
-            return
-        name, champion = latest
-        self._picture("graph/best", draw_skill(Skill(name, champion.graphs, self._actions)))
+        if not self._soon("graph/best"):
+            name, champion = latest
+            self._picture("graph/best", draw_skill(Skill(name, champion.graphs, self._actions)))
 
     def _soon(self, tag: str) -> bool:
         """Whether it is too soon for another picture of something that is replaced quickly."""
@@ -164,24 +157,24 @@ class TensorBoardWatch:
         self._scalars({"models/fit_seconds": event.seconds})
         summary = event.summary
         self._scalars(summary.scalars)
-        if summary.reliability and not self._soon("classifier/reliability"):
-            picture = draw_reliability(summary.reliability, of="held-out labels")
-            self._picture("classifier/reliability", picture)
-        if summary.curves:
-            self._curves(summary.curves)
-        if summary.first:
-            self._records.flush()
-            self.step += 1  # so that all generations can be hidden, not the first models
+        if not summary.first:
+            return
+        if "classifier" in summary.reports and not self._soon("classifier/reliability"):
+            curve = summary.reports["classifier"].reliability
+            self._picture("classifier/reliability", draw_reliability(curve, of="held-out labels"))
+        self._curves(summary.reports)
+        self._records.flush()
+        self.step += 1  # so that all generations can be hidden, not the first models
 
-    def _curves(self, curves: Mapping[str, LearningCurve | None]) -> None:
+    def _curves(self, reports: Mapping[str, Any]) -> None:
         """Write learning curves to their own file, as their step is the number of rows."""
         from torch.utils.tensorboard import SummaryWriter
 
         with SummaryWriter(str(self._folder / BY_ROWS)) as writer:
+            curves = {name: report.learning_curve for name, report in reports.items()}
             for name, curve in curves.items():
-                if curve is None:
-                    continue
-                for kind, scores in (("train", curve.train_scores), ("test", curve.test_scores)):
+                every = () if curve is None else (curve.train_scores, curve.test_scores)
+                for kind, scores in zip(("train", "test"), every, strict=False):
                     for size, folds in zip(curve.sizes, scores, strict=True):
                         tag = f"{name}/learning_curve/{kind}"
                         writer.add_scalar(tag, sum(folds) / len(folds), size)
@@ -202,6 +195,118 @@ class TensorBoardWatch:
         self._records.picture(tag, figure, self.step)
 
 
-def _nodes(graphs: Graphs) -> int:
-    """The total number of nodes of all graphs."""
-    return int(np.count_nonzero(graphs.action.numpy() != NO_NODE))
+def _number(row: Row, column: str) -> float:
+    return float("nan") if row[column] is None else row[column]
+
+
+class Records:
+    """An open event file, whose records are few and written together."""
+
+    def __init__(
+        self, folder: Path | str, settings: Mapping[str, object], metrics: Sequence[str], first: int
+    ):
+        """Open the file and write hyper-parameters, and the tags of the HPARAMS tab.
+
+        TensorBoard hides data of earlier files from step `first` on, and keeps earlier data.
+        RunError if the folder cannot be written.
+        """
+        from torch.utils.tensorboard import SummaryWriter
+        from torch.utils.tensorboard.summary import hparams
+
+        try:
+            self._writer = SummaryWriter(str(folder), purge_step=first or None, flush_secs=10)
+        except OSError as e:
+            reason = e.strerror or str(e)
+            raise RunError(
+                f"cannot write TensorBoard files to {str(folder)!r} ({reason}); check the folder"
+            ) from e
+        self._first = first
+        self._waiting: list[tuple[Mapping[str, float], int, float]] = []
+        plain = {k: v if isinstance(v, bool | int | float | str) else str(v)
+                 for k, v in settings.items()}  # fmt: skip
+        experiment, begin, self._session_end = hparams(plain, dict.fromkeys(metrics, 0.0))
+        self._writer.file_writer.add_summary(experiment)
+        self._writer.file_writer.add_summary(begin)
+        rows = [f"| {k} | {v} |" for k, v in plain.items()]
+        self._writer.add_text("settings", "\n".join(["| setting | value |", "|---|---|", *rows]))
+        self._writer.flush()
+
+    def scalars(self, values: Mapping[str, float], step: int) -> None:
+        """Write scalars as one record, which is far cheaper than one record each.
+
+        Records within `SOON` seconds are written together, because the work between two generations
+        leaves little of TensorBoard's code in the CPU's caches.
+        """
+        if step < self._first:
+            return
+        now = time.time()
+        self._waiting.append((values, step, now))
+        if now - self._waiting[0][2] > SOON:
+            self._write_waiting()
+
+    def picture(self, tag: str, figure: "Figure", step: int) -> None:
+        """Write an image."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        figure.set_dpi(DPI)
+        canvas, out = FigureCanvasAgg(figure), io.BytesIO()
+        width, height = canvas.get_width_height()
+        canvas.print_png(out)
+        about = {"height": height, "width": width, "colorspace": 4}
+        image = Summary.Image(**about, encoded_image_string=out.getvalue())
+        self.write(Summary(value=[Summary.Value(tag=tag, image=image)]), step)
+
+    def write(self, summary: "Summary", step: int) -> None:
+        """Write a record of any kind."""
+        if step >= self._first:
+            self._write_waiting()
+            self._writer.file_writer.add_summary(summary, step)
+
+    def flush(self) -> None:
+        """Write all waiting records to the file."""
+        self._write_waiting()
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._write_waiting()
+        self._writer.file_writer.add_summary(self._session_end)
+        self._writer.close()
+
+    def _write_waiting(self) -> None:
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        waiting, self._waiting = self._waiting, []
+        for values, step, when in waiting:
+            entries = [Summary.Value(tag=tag, simple_value=v) for tag, v in values.items()]
+            self._writer.file_writer.add_summary(Summary(value=entries), step, when)
+
+
+def histograms(tags: Sequence[str], values: Tensor, bins: int) -> "Summary":
+    """A histogram for each of S tags of finite values (P, S), with P at least 1, in one record.
+
+    Bins have equal widths from the least to the greatest value, or around a single value with a
+    total width of 1. TensorBoard's own histograms, one by one, take longer than a generation.
+    """
+    from tensorboard.compat.proto.summary_pb2 import HistogramProto, Summary
+
+    values = values.double()
+    least, greatest = values.amin(0), values.amax(0)
+    alike = 0.5 * (greatest == least)
+    low, width = least - alike, greatest - least + 2 * alike
+    place = ((values - low) / width * bins).long().clamp_max(bins - 1)
+    place += bins * torch.arange(len(tags))
+    counts = torch.bincount(place.flatten(), minlength=bins * len(tags)).view(-1, bins)
+    steps = torch.arange(bins + 1, dtype=torch.double)
+    limits = torch.addcmul(low[:, None], width[:, None], steps / bins)
+    about = torch.stack([least, greatest, values.sum(0), values.square().sum(0)], 1)
+    rows = zip(tags, about.tolist(), limits.tolist(), counts.tolist(), strict=True)
+    entries = []
+    for tag, (low_end, high_end, total, squares), limit, count in rows:
+        histogram = HistogramProto(
+            min=low_end, max=high_end, num=len(values), sum=total, sum_squares=squares,
+            bucket_limit=limit, bucket=[0, *count],  # none lies below the first limit
+        )  # fmt: skip
+        entries.append(Summary.Value(tag=tag, histo=histogram))
+    return Summary(value=entries)

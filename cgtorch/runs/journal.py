@@ -1,4 +1,4 @@
-"""The journal of a stage as files, from which an interrupted stage resumes.
+"""The journal of a stage as files, from which it resumes, and runs that go on with other settings.
 
     RUN/journal/STAGE/00007.safetensors       the result of the stage's seventh long step
     RUN/journal/STAGE/00008-3.safetensors     the third checkpoint of the eighth step
@@ -7,33 +7,53 @@
 Every file is written whole and has a checksum. A checkpoint is written after its parts and contains
 their checksums; the last two checkpoints are kept. A damaged file is reported, and it and all later
 ones are ignored, so damage costs time only. The folder is removed when the stage is finished.
+
+A run keeps the settings with which it began. Those that only control the search can be changed by
+name; results depend on the others. Finished stages stay as they are. An unfinished stage is
+repeated from its beginning, since a stage under mixed settings could not be reproduced; its journal
+goes to RUN/set-aside/1, 2, …, and the log has a row `changed`.
 """
 
 import hashlib
+import itertools
 import re
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import safetensors.torch
 import torch
 from torch import Tensor
 
 from cgtorch import __version__
+from cgtorch.domains.settings import to_plain
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
-from cgtorch.ground.files import notes_of, read_bytes, tensors_of, write_bytes, writing
+from cgtorch.ground.files import (
+    JsonLines,
+    notes_of,
+    read_bytes,
+    read_json,
+    tensors_of,
+    write_bytes,
+    write_json,
+    writing,
+)
 from cgtorch.improvement.checkpoint import Checkpoint, Journal
 from cgtorch.improvement.events import AboutToKeep, JournalDamaged, Watch
+from cgtorch.runs.log import LOG, read_log
+from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import AUTO, StoredRun, round_name, versions
 
-FOLDER = "journal"
+FOLDER, ASIDE = "journal", "set-aside"
 MAX_BYTES = 2**30
-SECONDS = 20.0  # between two notes of where a step stands
+SECONDS = 20.0  # between two checkpoints
 _STEP = re.compile(r"(\d{5})\.safetensors")
 _CHECKPOINT = re.compile(r"(\d{5})-(\d+)\.safetensors")
 _PART = re.compile(r"(\d{5})-(\d+)\.(\d+)\.safetensors")
@@ -70,7 +90,8 @@ class FileJournal(Journal):
         """Number of generations that will be recalled."""
         known = [tensors for _, tensors in self._steps]
         known += [] if self._checkpoint is None else [self._checkpoint[1].about]
-        return sum(int(t["generations"]) for t in known if _counts(t))
+        counts = (tensors.get("generations", torch.zeros(0)) for tensors in known)
+        return sum(int(c) for c in counts if c.numel() == 1 and c.dtype == torch.long)
 
     def recall(self, step: str) -> dict[str, Tensor] | None:
         """See the base class."""
@@ -87,8 +108,7 @@ class FileJournal(Journal):
         self._write(f"{len(self._steps):05}", {"step": step}, result)
         self._steps.append((step, {}))  # only its place is needed any more
         self._next = len(self._steps)
-        for path in self._files(_STEP)[len(self._steps) :]:
-            self._remove(path)
+        self._remove(self._files(_STEP)[len(self._steps) :])
         self._keep_checkpoints(0)
 
     def recall_checkpoint(self, step: str) -> Checkpoint | None:
@@ -114,8 +134,7 @@ class FileJournal(Journal):
         # Who ends early does so alone, so what other ranks hold cannot be had any more.
         unwritten = self._unwritten
         if kind is None:
-            if ranks.first():
-                _forget(self._folder)
+            forget(self._folder)
         elif unwritten and not unwritten[1].apart and not issubclass(kind, RunError):
             self._write_checkpoint(*unwritten)
 
@@ -139,13 +158,12 @@ class FileJournal(Journal):
         """Remove all checkpoints except the last `count`, and parts without a checkpoint."""
         notes = self._files(_CHECKPOINT)
         kept = {path.stem for path in notes[max(0, len(notes) - count) :]}
-        for path in (*notes, *self._files(_PART)):
-            if path.name.split(".")[0] not in kept:
-                self._remove(path)
+        every = (*notes, *self._files(_PART))
+        self._remove([path for path in every if path.name.split(".")[0] not in kept])
 
     @staticmethod
-    def _remove(path: Path) -> None:
-        if ranks.first():
+    def _remove(paths: list[Path]) -> None:
+        for path in paths if ranks.first() else ():
             path.unlink(missing_ok=True)
 
     def _write(self, name: str, about: dict[str, str], tensors: dict[str, Tensor]) -> str:
@@ -185,8 +203,7 @@ class FileJournal(Journal):
 
     def _whole_checkpoint(self, path: Path) -> tuple[str, Checkpoint] | None:
         """The step's name and its checkpoint; None if the file or one of its parts is damaged."""
-        known = self._whole(path)
-        if known is None:
+        if (known := self._whole(path)) is None:
             return None
         about, tensors = known
         sums, parts = about.get("parts", "").split(), []
@@ -201,7 +218,7 @@ class FileJournal(Journal):
             if found[0]["sha256"] != wanted:
                 self.damaged.append(part)
                 return None
-            parts.append(partial(_tensors, part))
+            parts.append(partial(lambda part: tensors_of(read_bytes(part, MAX_BYTES)), part))
         return about["step"], Checkpoint(tensors, tuple(parts))
 
     def _whole(self, path: Path) -> tuple[dict[str, str], dict[str, Tensor]] | None:
@@ -227,16 +244,12 @@ def journal_of(folder: Path, name: str, watch: Watch, seconds: float = SECONDS) 
     return journal
 
 
-def forget(folder: Path, name: str) -> None:
-    """Remove the journal of a finished stage, in case its process was killed before it could."""
-    if ranks.first() and (folder / FOLDER / name).is_dir():
-        _forget(folder / FOLDER / name)
-
-
-def _forget(journal: Path) -> None:
-    shutil.rmtree(journal, ignore_errors=True)
-    with suppress(OSError):
-        journal.parent.rmdir()  # of all stages, if this was the only one
+def forget(journal: Path) -> None:
+    """Remove the journal of a finished stage, on the first rank."""
+    if ranks.first():
+        shutil.rmtree(journal, ignore_errors=True)
+        with suppress(OSError):
+            journal.parent.rmdir()  # of all stages, if this was the only one
 
 
 def recalled_generations(folder: Path) -> int:
@@ -244,10 +257,6 @@ def recalled_generations(folder: Path) -> int:
     journals = (path for path in (folder / FOLDER).glob("*") if path.is_dir())
     begun = [path for path in journals if not (folder / path.name / "skill.json").is_file()]
     return sum(FileJournal(path).generations for path in begun)
-
-
-def _tensors(path: Path) -> dict[str, Tensor]:
-    return tensors_of(read_bytes(path, MAX_BYTES))
 
 
 def checksum(tensors: dict[str, Tensor], about: dict[str, str]) -> str:
@@ -260,6 +269,77 @@ def checksum(tensors: dict[str, Tensor], about: dict[str, str]) -> str:
     return digest.hexdigest()
 
 
-def _counts(tensors: dict[str, Tensor]) -> bool:
-    count = tensors.get("generations")
-    return count is not None and count.numel() == 1 and count.dtype == torch.long
+@dataclass(frozen=True)
+class TakenOver:
+    """A run with its present settings, and the stage or round `before` which they changed.
+
+    `changed` contains old and new values by name: settings, cgtorch, torch. `set_aside` is the
+    folder of the old journal within the run, or None.
+    """
+
+    run: StoredRun
+    changed: Mapping[str, tuple[Any, Any]]
+    before: str
+    set_aside: str | None
+
+
+def take_over(run: StoredRun, settings: RunSettings, stage: str) -> TakenOver:
+    """Continue under these settings with this version of the library, and log the changes.
+
+    An interruption at any point can at most repeat the stage under the old settings.
+    """
+    about = read_json(run.folder / "run.json")
+    old, new = to_plain(run.settings), to_plain(settings)
+    changed = {name: (old[name], new[name]) for name in old if old[name] != new[name]}
+    current = {**versions(), **run.files.made_with()}
+    changed |= {k: (about.get(k), v) for k, v in current.items() if about.get(k) != v}
+    before = _next(run, stage)
+    if not changed:
+        return TakenOver(run, {}, before, None)
+    stale = set(changed) - {"torch", "engine"} and (run.folder / FOLDER).is_dir()
+    names = (f"{ASIDE}/{i}" for i in itertools.count(1))
+    aside = next(name for name in names if not (run.folder / name).exists()) if stale else None
+    ranks.wait()  # all have read before anyone writes
+    if ranks.first():
+        _log_change(run.folder, before, {name: [*both] for name, both in changed.items()}, aside)
+        if aside is not None:
+            with writing(run.folder / ASIDE):
+                (run.folder / ASIDE).mkdir(exist_ok=True)
+                (run.folder / FOLDER).rename(run.folder / aside)
+        write_json(run.folder / "run.json", {**about, **current, "settings": new})
+    ranks.wait()
+    return TakenOver(replace(run, settings=settings), changed, before, aside)
+
+
+def _log_change(
+    folder: Path, before: str, changed: dict[str, list[Any]], aside: str | None
+) -> None:
+    """Log a change, unless it was the last thing that was logged before an interruption."""
+    last = (read_log(folder) or [{}])[-1]
+    if (last.get("stage"), last.get("changed")) != (before, changed):
+        row = {"stage": before, "changed": changed, "set_aside": aside}
+        JsonLines(folder / LOG).append({"event": "changed", "time": round(time.time(), 3), **row})
+
+
+def _next(run: StoredRun, stage: str) -> str:
+    """The next stage or round that a run makes when asked for a stage."""
+    missing = [name for name in run.domain.stages if name not in run.stages]
+    if stage == AUTO or run.rounds or not missing:
+        return round_name(len(run.rounds) + 1)
+    return missing[0]
+
+
+def goes_on_to(run: StoredRun) -> dict[str, Any]:
+    """What the run was last asked for: the stage, and the goal of "auto"; {} if nothing yet."""
+    found = read_json(run.folder / "run.json").get("goes_on_to", {})
+    if not isinstance(found, dict):
+        raise RunError(f"goes_on_to of {str(run.folder / 'run.json')!r} is no object; restore it")
+    return found
+
+
+def remember_goal(run: StoredRun, wanted: Mapping[str, Any]) -> None:
+    """Record in run.json what the run is asked for, on the first rank only."""
+    if ranks.first() and goes_on_to(run) != wanted:
+        about = read_json(run.folder / "run.json")
+        write_json(run.folder / "run.json", {**about, "goes_on_to": dict(wanted)})
+    ranks.wait()

@@ -1,5 +1,6 @@
 """The state of a run after a stage, as files: safetensors and JSON, never code."""
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
@@ -16,10 +17,10 @@ from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.evolution import Population, population_from
 from cgtorch.graphs import ActionSet, Graphs, load_skill, save_skill
-from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.environment import Dataset, ScenarioBatch
 from cgtorch.ground.errors import GraphError, RunError
 from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_bytes, write_json
+from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.setup import Progress
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.svm import Choice, LearningCurve, load_model_and_report, save_model
@@ -126,75 +127,6 @@ def load_population(path: Path, actions: ActionSet) -> Population:
         raise RunError(f"{str(path)!r} does not hold valid graphs; restore the file") from e
 
 
-_COUNTS = (
-    "targets_succeeded", "targets", "earlier_failures", "earlier_failures_succeeded", "w_size",
-    "w_lost", "nodes", "depth", "generations", "transitions",
-)  # fmt: skip
-
-
-def load_result(path: Path) -> dict[str, Any]:
-    """Read a stage's result.json; RunError if it lacks a number of the final table."""
-    data = read_json(path)
-    if not isinstance(data, dict):
-        raise RunError(f"{str(path)!r} is no result of a stage; restore the file")
-    seconds: Any = data.get("seconds")
-    right = {
-        **{name: isinstance(data.get(name), str) for name in ("stage", "scenarios")},
-        **{name: is_count(data.get(name)) for name in _COUNTS},
-        **{
-            name: data.get(name) is None or _is_score(data[name])
-            for name in ("fresh", "overall", "decisive")
-        },
-        **{name: is_count(data.get(name, 0)) for name in ("in_a_row", "practice")},
-        "asked": _is_asked(data.get("asked")),
-        "seconds": type(seconds) in (int, float) and 0 <= seconds < 1e12,
-    }
-    for name, ok in right.items():
-        if not ok:
-            raise RunError(f"{name} of {str(path)!r} is {data.get(name)!r:.40}; restore the file")
-    return data
-
-
-def read_asked(path: Path) -> dict[str, dict[str, int]]:
-    """What a run had asked of its world, by phase, when it wrote a result.json; else RunError."""
-    data = read_json(path)
-    if not isinstance(data, dict) or not _is_asked(data.get("asked")):
-        raise RunError(f"{str(path)!r} does not say what was asked of the world; restore the file")
-    return dict(data["asked"])
-
-
-def _is_asked(value: Any) -> bool:
-    """Whether a value from a file has numbers of what was asked, by phase."""
-    return isinstance(value, dict) and all(
-        isinstance(counts, dict)
-        and set(counts) == set(ASKED)
-        and all(map(is_count, counts.values()))
-        for counts in value.values()
-    )
-
-
-def is_count(value: Any) -> bool:
-    """Whether a value from a file is a count."""
-    return type(value) is int and 0 <= value < 2**53
-
-
-def is_share(value: Any) -> bool:
-    """Whether a value from a file contains the counts `succeeded` and `tried`."""
-    return (
-        isinstance(value, dict)
-        and is_count(value.get("tried"))
-        and is_count(value.get("succeeded"))
-        and value["succeeded"] <= value["tried"]
-    )
-
-
-def _is_score(value: Any) -> bool:
-    if not is_share(value) or not isinstance(value.get("scenarios"), str):
-        return False
-    mean = value.get("mean_return")
-    return mean is None or (type(mean) in (int, float) and math.isfinite(mean))
-
-
 def scenarios_to_list(scenarios: ScenarioBatch) -> list[dict[str, Any]]:
     """One plain object per scenario, by field names; fields without numbers are left out."""
     parts = {name: value.tolist() for name, value in vars(scenarios).items() if value[:1].numel()}
@@ -241,12 +173,27 @@ def _check_numbers(values: Any, shape: Sequence[int], dtype: torch.dtype, what: 
         raise RunError(f"{what} is {values!r:.60}; give whole numbers")
 
 
+WAS = ("W", "M", "new")
+"""Where a scenario was before the skill of a stage was tried on it; "new" is in neither."""
+
+
 def save_scenarios(
-    path: Path, solved: ScenarioBatch, missed: ScenarioBatch, chance: bool = False
+    path: Path,
+    solved: ScenarioBatch,
+    missed: ScenarioBatch,
+    chance: bool = False,
+    accepted: SkillAccepted[Any] | None = None,
 ) -> None:
-    """Write W and M, and whether what was solved was found to be chance."""
-    both = {"W": scenarios_to_list(solved), "M": scenarios_to_list(missed)}
-    write_json(path, {**both, "chance": chance})
+    """Write W and M, and whether what was solved was found to be chance.
+
+    If a skill was accepted, `was` says of each scenario of W and M where it was before (`WAS`).
+    """
+    data: dict[str, Any] = {"W": scenarios_to_list(solved), "M": scenarios_to_list(missed)}
+    if accepted is not None:
+        keys = map(json.dumps, scenarios_to_list(accepted.scenarios))
+        was = dict(zip(keys, (WAS[not kept] for kept in accepted.keep.tolist()), strict=True))
+        data["was"] = [was.get(json.dumps(row), "new") for row in (*data["W"], *data["M"])]
+    write_json(path, {**data, "chance": chance})
 
 
 def load_scenarios(path: Path, like: ScenarioBatch) -> tuple[ScenarioBatch, ...]:
@@ -260,11 +207,27 @@ def load_scenarios(path: Path, like: ScenarioBatch) -> tuple[ScenarioBatch, ...]
     )
 
 
-def save_progress(folder: Path, progress: Progress[Any], seed: int) -> None:
-    """Write everything that the next stage needs into a folder."""
+def load_evidence(path: Path, like: ScenarioBatch) -> tuple[ScenarioBatch, list[str], Tensor]:
+    """The evidence for eq. 1: all B scenarios, where each was (`WAS`), and `succeeded` (B,) bool.
+
+    Eq. 1a holds if none of W failed, eq. 1b if one of M succeeded. RunError if the stage accepted
+    no skill, or the file is damaged.
+    """
+    solved, missed = load_scenarios(path, like)
+    every, was = solved.joined(missed), read_json(path).get("was")
+    if not isinstance(was, list) or len(was) != len(every) or any(w not in WAS for w in was):
+        raise RunError(f"was in {str(path)!r} is {was!r:.40}, not of {len(every)} scenarios")
+    return every, was, torch.arange(len(every)) < len(solved)
+
+
+def save_progress(
+    folder: Path, progress: Progress[Any], seed: int, accepted: SkillAccepted[Any] | None = None
+) -> None:
+    """Write everything that the next stage needs into a folder, and the evidence for eq. 1."""
     if progress.skill is not None:
         save_skill(folder / "skill.json", progress.skill)
-    save_scenarios(folder / "scenarios.json", progress.solved, progress.missed, progress.chance)
+    known = progress.solved, progress.missed, progress.chance
+    save_scenarios(folder / "scenarios.json", *known, accepted)
     if (seen := progress.seen) is not None:
         save_tensors(folder / "seen.safetensors", {"percepts": seen}, {})
     if progress.knowledge is not None:

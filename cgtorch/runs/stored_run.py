@@ -2,17 +2,15 @@
 
 The folder contains:
 
-    run.json            format, versions, domain, settings, goal, history of changes
+    run.json            format, versions, domain, settings, goal
     robot/ …            files of the domain, such as the tabletop's robot
     start/              the state before the first stage: data, Γ, C
-    S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists, result
+    S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists
     auto-1/ auto-2/ …   each finished round of --stage auto: the same
-    log.jsonl           what happened, a line each, with every action of a robot
+    log.jsonl           what happened, a line each, with all results and every action of a robot
     journal/            the results so far of an unfinished stage or round
     set-aside/          journals of stages that were repeated with other settings or versions
-    ledger/             every accepted skill, with the evidence for eq. 1
-    summary.json        the final table
-    events.out.…        TensorBoard
+    events.out.…        TensorBoard, for people
 """
 
 import itertools
@@ -46,10 +44,10 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
+from cgtorch.runs.log import LOG, Row, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings
 
-LOG = "log.jsonl"
-FORMAT, VERSION = "cgtorch-run", 4
+FORMAT, VERSION = "cgtorch-run", 5
 AUTO = "auto"
 """The stage name that asks for rounds, auto-1, auto-2, …, until a goal is reached."""
 
@@ -82,6 +80,12 @@ class StoredRun:
     def rounds(self) -> tuple[str, ...]:
         """The finished rounds of `--stage auto`, in order."""
         return tuple(itertools.takewhile(self._finished, map(round_name, itertools.count(1))))
+
+    @property
+    def results(self) -> list[Row]:
+        """The result of each finished stage or round, in order; RunError if the log lacks one."""
+        stages = self.stages
+        return results_in(read_log(self.folder), stages, self.folder) if stages else []
 
     @property
     def learns(self) -> bool:

@@ -16,13 +16,19 @@ from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.search import derived_generator
 from cgtorch.graphs import Skill, merged
 from cgtorch.ground import distributed as ranks
-from cgtorch.ground.files import write_json
-from cgtorch.improvement.events import FreshTested, StageStarted
+from cgtorch.improvement.events import FreshTested, StageStarted, TrainingEnded
 from cgtorch.improvement.setup import Progress
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.runs.goal import DECISIVE_EPISODES, EPISODES, Goal, holds, mean_holds, worth_deciding
-from cgtorch.runs.storage import load_progress, load_result
-from cgtorch.runs.stored_run import StoredRun, round_name
+from cgtorch.runs.settings import (
+    DECISIVE_EPISODES,
+    EPISODES,
+    Goal,
+    holds,
+    mean_holds,
+    worth_deciding,
+)
+from cgtorch.runs.storage import load_progress
+from cgtorch.runs.stored_run import AUTO, StoredRun, round_name
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, joined, try_on
 from cgtorch.training.start import initial_progress, recall_spent, spent_of
@@ -45,7 +51,7 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
 
     A run with stages or rounds continues from its last one. `goal.minutes` limits this call,
     `goal.rounds` the whole run; a round that has begun is finished. Returned are the results of all
-    stages and rounds, as in their result.json.
+    stages and rounds.
 
     Raises:
         NotImprovedError: A round ended, and there is still no skill.
@@ -55,7 +61,7 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
     recall_spent(training)
     last = run.folder / run.stages[-1] if run.stages else None
     progress = load_progress(run, last) if last else initial_progress(training)
-    results = [load_result(run.folder / name / "result.json") for name in run.stages]
+    results = run.results
     first, made = len(results) - len(run.rounds), len(run.rounds)
     while (
         not reached(goal, results[first:])
@@ -73,9 +79,7 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
         results.append(result)
         if training.purse.exhausted:
             break
-    summary = {"stages": results, "reached": reached(goal, results[first:])}
-    if ranks.first():
-        write_json(run.folder / "summary.json", {**summary, **vars(goal), **run.all_settings()})
+    training.log(TrainingEnded(AUTO, reached(goal, results[first:]), **vars(goal)))
     return results
 
 
@@ -111,7 +115,7 @@ def _round(
         progress = _with(progress, act(run, progress.skill, EPISODES, _tests_generator(run, name)))
     missed, names = progress.missed, tuple(map(round_name, range(1, number + 1)))
     sizes = len(progress.solved), len(missed)
-    training.watch(StageStarted(name, names, *sizes, training.attempts))
+    training.told(StageStarted(name, names, *sizes, training.attempts))
 
     def test(after: Progress[Any], tally: Tally) -> Made | None:
         fittest, unsolved = tally.champion, tally.accepted is None and not len(after.solved)
@@ -133,7 +137,6 @@ def _round(
         return after, {
             "stage": name,
             "scenarios": run.kind,
-            "skill": skill.name,
             "targets_succeeded": won,
             "targets": len(missed),
             "earlier_failures": 0,
@@ -179,7 +182,7 @@ def _tested(
     for most, failures in zip(sizes, enough, strict=True):
         score = act(training.run, progress.skill, most, generator, failures)
         counted, mean, decisive = (score.successes, score.tried), score.mean_return, bool(scores)
-        training.watch(FreshTested(name, skill, *counted, target, decisive, mean))
+        training.told(FreshTested(name, skill, *counted, target, decisive, mean))
         progress = _with(progress, score)
         scores.append(score)
         by_mean = mean is not None and mean >= target

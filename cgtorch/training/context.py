@@ -24,9 +24,10 @@ from cgtorch.evolution import (
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.environment import Environment
 from cgtorch.improvement.checkpoint import Journal
-from cgtorch.improvement.events import Watch
+from cgtorch.improvement.events import Event, Watch
 from cgtorch.improvement.setup import Budget, Setup
 from cgtorch.runs.journal import SECONDS
+from cgtorch.runs.log import LogWatch
 from cgtorch.runs.stored_run import StoredRun
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
@@ -48,11 +49,11 @@ SETTLED = 20  # generations without a better fitness after which a solved group 
 
 @dataclass(frozen=True)
 class Training:
-    """The inputs of a training.
+    """The inputs of a training, and the log of the run, into which it writes all events.
 
     Attributes:
         run: The run.
-        watch: Receives all events.
+        watch: Receives all events, too.
         purse: Counts what the world is asked, and refuses what the budget does not cover.
         working: Shows a message during a long step.
         device: Where populations are evaluated.
@@ -65,6 +66,15 @@ class Training:
     device: torch.device | str = "cpu"
     checkpoint_seconds: float = SECONDS
     purse: Purse = field(default_factory=Purse)
+    log: LogWatch = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "log", LogWatch(self.run.folder))
+
+    def told(self, event: Event) -> None:
+        """Log an event, and pass it on."""
+        self.log(event)
+        self.watch(event)
 
     def practice(self, name: str) -> int:
         """Number of fresh scenarios to solve in a row in a stage or round."""

@@ -10,13 +10,11 @@ from cgtorch.domains.settings import known_options
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.ground.files import JsonLines, write_bytes
+from cgtorch.ground.files import write_bytes
 from cgtorch.report import ProgressDisplay
-from cgtorch.runs.ledger import read_index
-from cgtorch.runs.log import rows_of
+from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings, defaults_of
-from cgtorch.runs.storage import load_result
-from cgtorch.runs.stored_run import LOG, StoredRun, read_run
+from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
 from cgtorch.training.session import TrainingRequest, UserWatch, begun, carry_out, prepared, resumed
 
@@ -48,18 +46,14 @@ class Run(StoredRun):
         return {name: load_skill(path, self.actions) for name, path in files.items()}
 
     @property
-    def results(self) -> list[dict[str, Any]]:
-        """The result of each finished stage or round, in order."""
-        return [load_result(self.folder / name / "result.json") for name in self.stages]
-
-    @property
     def ledger(self) -> list[dict[str, Any]]:
-        """A row for each accepted skill, with the evidence for eq. 1."""
-        return read_index(self.folder)
+        """A row of the log for each accepted skill, with the evidence for eq. 1."""
+        rows = (row for row in self.log() if row["event"] == "accepted")
+        return [row for row in rows if row["stage"] in self.stages]
 
     def log(self) -> list[dict[str, Any]]:
-        """What happened, a row each, as `pandas.DataFrame` takes them (`cgtorch.runs.log`)."""
-        return rows_of(JsonLines(self.folder / LOG))
+        """What happened, a row each, as `pandas.DataFrame` takes them (docs/log.md)."""
+        return read_log(self.folder)
 
     def evaluate(
         self,

@@ -16,27 +16,21 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.ground.files import JsonLines
 from cgtorch.ground.processes import listening
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.native.gpu import launcher_of
 from cgtorch.report import ProgressDisplay, TensorBoardWatch
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.journal import SECONDS, recalled_generations
-from cgtorch.runs.log import LogWatch
-from cgtorch.runs.resume_settings import (
+from cgtorch.runs.journal import (
+    SECONDS,
     TakenOver,
     goes_on_to,
-    overridden,
-    refuse_others,
+    recalled_generations,
     remember_goal,
     take_over,
 )
-from cgtorch.runs.settings import RunSettings
-from cgtorch.runs.storage import load_result
+from cgtorch.runs.settings import Goal, RunSettings, overridden, refuse_others
 from cgtorch.runs.stored_run import (
     AUTO,
-    LOG,
     StoredRun,
     only_begun,
     planned_run,
@@ -187,11 +181,10 @@ def carry_out(
         for line in (*_earlier_stages(work), *_changes(work.taken)):
             display.say(line)
         settled = run.all_settings() | (vars(work.goal) if auto else {})
-        with listening(display.counted), _board(run, settled) as board, _log(run) as log:
+        with listening(display.counted), _board(run, settled) as board:
 
             def told(event: Event) -> None:
                 board(event)
-                log(event)
                 display(event)
                 if watch is not None and watch(event) is True:
                     raise _StopTraining
@@ -202,7 +195,7 @@ def carry_out(
             try:
                 found = train_until(training, work.goal) if auto else train(training, work.stage)
             except _StopTraining:
-                found = [load_result(run.folder / name / "result.json") for name in run.stages]
+                found = run.results
     return found
 
 
@@ -312,13 +305,6 @@ def _changes(taken: TakenOver) -> Iterator[str]:
         )
     if taken.set_aside:
         yield f"the unfinished work on {taken.before} is in {taken.run.folder / taken.set_aside}"
-
-
-def _log(run: StoredRun) -> AbstractContextManager[Watch]:
-    """A context that writes the run's log, on the first rank."""
-    if not ranks.first():
-        return nullcontext(lambda event: None)
-    return LogWatch(JsonLines(run.folder / LOG))
 
 
 def _board(run: StoredRun, settings: dict[str, Any]) -> AbstractContextManager[Watch]:

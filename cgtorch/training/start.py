@@ -20,13 +20,15 @@ from cgtorch.domains.knowledge import (
 from cgtorch.domains.live import OnRobot
 from cgtorch.evolution.search import derived_generator
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.environment import Dataset, Environment, Live
 from cgtorch.ground.errors import SettingsError
-from cgtorch.ground.files import whole_folder, write_json
+from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.events import ModelsFitted, WorldAsked
 from cgtorch.improvement.setup import Progress
-from cgtorch.runs.storage import load_progress, read_asked, save_progress
+from cgtorch.runs.log import read_log
+from cgtorch.runs.storage import load_progress, save_progress
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.simulation import Recording
 from cgtorch.training.context import Training
@@ -54,17 +56,16 @@ def initial_progress(training: Training) -> Progress[Any]:
     dataset = _first_data(training, generator)
     asked = training.purse.total - before
     if asked != Asked():
-        training.watch(WorldAsked("start", EXPLORATION, asked))
+        training.told(WorldAsked("start", EXPLORATION, asked))
     began = time.perf_counter()
     with working("fitting Γ and C"):
         knowledge = run.models.fit(dataset, settings.seed)
     seconds = time.perf_counter() - began
-    training.watch(ModelsFitted("start", summary_of(knowledge), seconds))
+    training.told(ModelsFitted("start", summary_of(knowledge), seconds))
     progress = Progress(None, nothing, nothing, knowledge)
     if ranks.first():
         with whole_folder(start) as folder:
             save_progress(folder, progress, settings.seed)
-            write_json(folder / "result.json", {"asked": spent_of(training.purse)})
     return progress
 
 
@@ -118,13 +119,14 @@ def spent_of(purse: Purse) -> dict[str, dict[str, int]]:
 
 def recall_spent(training: Training) -> None:
     """Fill the purse with what the finished parts of the run have asked."""
-    run = training.run
-    last = (run.folder / name / "result.json" for name in (*reversed(run.stages), "start"))
-    known = next((path for path in last if path.is_file()), None)
-    training.purse.spent.clear()
-    if known is not None:
-        for phase, asked in read_asked(known).items():
-            training.purse.add(phase, Asked(**asked))
+    run, spent = training.run, training.purse.spent
+    spent.clear()
+    if results := run.results:
+        spent.update((phase, Asked(**asked)) for phase, asked in results[-1]["asked"].items())
+    elif (run.folder / "start").is_dir():
+        for row in read_log(run.folder):
+            if (row["event"], row["stage"]) == ("asked", "start"):
+                spent[row["phase"]] = Asked(**{name: row[name] for name in ASKED})
 
 
 def given_data(run: StoredRun) -> Dataset:

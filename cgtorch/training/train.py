@@ -14,7 +14,7 @@ from cgtorch.evolution import Generation, Population
 from cgtorch.graphs import Skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError, RunError, SettingsError
-from cgtorch.ground.files import whole_folder, write_json
+from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.checkpoint import Found
 from cgtorch.improvement.events import (
     Event,
@@ -22,14 +22,15 @@ from cgtorch.improvement.events import (
     GenerationDone,
     Practised,
     SkillAccepted,
+    StageFinished,
     StageStarted,
+    TrainingEnded,
 )
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress
-from cgtorch.runs.journal import forget, journal_of
-from cgtorch.runs.ledger import enter, entry_of
-from cgtorch.runs.storage import load_progress, load_result, save_progress
+from cgtorch.runs.journal import FOLDER, forget, journal_of
+from cgtorch.runs.storage import load_progress, save_progress
 from cgtorch.runs.stored_run import AUTO, StoredRun
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, evaluate_skill
@@ -92,6 +93,7 @@ class Tally:
         accepted = self.accepted
         lost = 0 if accepted is None else int((~accepted.succeeded[accepted.keep]).sum())
         return {
+            "skill": skill.name,
             "w_size": len(before.solved),
             "w_lost": lost,
             "nodes": skill.num_nodes,
@@ -119,7 +121,7 @@ def train(training: Training, stage: str) -> list[dict[str, Any]]:
     for name in names:
         if name in run.stages:
             progress = load_progress(run, run.folder / name)
-            forget(run.folder, name)
+            forget(run.folder / FOLDER / name)  # in case its process was killed before it could
             continue
         try:
             progress = _stage(training, name, names, progress)
@@ -129,11 +131,8 @@ def train(training: Training, stage: str) -> list[dict[str, Any]]:
         if training.purse.exhausted:
             break
     ranks.wait()
-    made = [name for name in names if name in run.stages]
-    results = [load_result(run.folder / name / "result.json") for name in made]
-    if ranks.first():
-        write_json(run.folder / "summary.json", {"stages": results, **run.all_settings()})
-    return results
+    training.log(TrainingEnded(stage))
+    return [result for result in run.results if result["stage"] in names]
 
 
 def _stage(
@@ -144,7 +143,7 @@ def _stage(
     kind = run.domain.stages[name]
     tests = run.domain.tests(kind)
     sizes = len(before.solved), len(tests) + len(before.missed)
-    training.watch(StageStarted(name, names, *sizes, training.attempts))
+    training.told(StageStarted(name, names, *sizes, training.attempts))
 
     def test(after: Progress[Any], tally: Tally) -> Made | None:
         accepted = tally.accepted
@@ -194,12 +193,12 @@ def make_stage(
 
     def listen(event: Event) -> None:
         tally.count(event)
-        training.watch(event)
+        training.told(event)
 
     def draw(count: int, generator: Generator) -> Any:
         return run.domain.draw(kind, count, generator)
 
-    with journal_of(run.folder, name, training.watch, training.checkpoint_seconds) as journal:
+    with journal_of(run.folder, name, training.told, training.checkpoint_seconds) as journal:
         setup = training.setup(name, journal)
         setup = replace(setup, name=name, generator=generator, watch=listen)
         began, method = time.perf_counter(), METHODS[run.settings.method]
@@ -207,7 +206,7 @@ def make_stage(
         tally.seconds = time.perf_counter() - began
         made = test(after, tally)
         if made is not None:
-            _keep(training, name, tally.accepted, before, made)
+            _keep(training, name, tally.accepted, made)
             return made
     raise NotImprovedError(
         f"stage {name} found no skill that keeps W and solves more within "
@@ -219,29 +218,23 @@ def _keep(
     training: Training,
     name: str,
     accepted: SkillAccepted[Any] | None,
-    before: Progress[Any],
     made: Made,
 ) -> None:
-    """Write the result of a stage or round, on the first rank only."""
+    """Write the result of a stage or round: its row, and then its folder, on the first rank."""
     run, (after, result) = training.run, made
-    if not ranks.first():
-        return
-    if accepted is not None:
-        again = accepted.other_noise
-        noise = None if again is None else {"tried": again[1], "succeeded": again[0]}
-        enter(run.folder, entry_of(accepted, before.skill, after, noise))
-    with whole_folder(run.folder / name) as folder:
-        save_progress(folder, after, run.settings.seed)
-        write_json(folder / "result.json", result)
+    if ranks.first():
+        with whole_folder(run.folder / name) as folder:
+            save_progress(folder, after, run.settings.seed, accepted)
+            training.log(StageFinished(name, result))
 
 
 def finished_generations(run: StoredRun) -> int:
     """Number of generations of all finished stages."""
-    return sum(load_result(run.folder / name / "result.json")["generations"] for name in run.stages)
+    return sum(result["generations"] for result in run.results)
 
 
 def counts(kind: str, score: Score) -> dict[str, Any]:
-    """A score in the form of result.json."""
+    """A score as in the result of a stage."""
     about = {"scenarios": kind, "tried": score.tried, "succeeded": score.successes}
     return about if score.returns is None else {**about, "mean_return": score.mean_return}
 

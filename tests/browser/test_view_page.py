@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 
 from cgtorch.graphs import save_skill
 from cgtorch.improvement.compose import branching_action, compose
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 EYE, LOOKED_AT = np.array([-2.6, -4.4, 3.6]), np.array([-0.3, -0.2, 0.3])  # as the page begins

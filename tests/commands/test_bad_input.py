@@ -83,8 +83,8 @@ def test_training_with_bad_arguments(
         (["run", "--seed", "-1"], "--seed': -1 is not in the range"),
         (["run", "--scenarios", "top"], "unknown scenarios 'top'; use one of perimeter, near"),
         (["run", "--actions", "Fly"], "was begun without action 'Fly' and cannot use it"),
-        (["run", "--skill", "S7"], "no skill 'S7' in the ledger of 'run'; give one of S0, S1"),
-        (["run", "--skill", "../S0"], "no skill '../S0' in the ledger"),
+        (["run", "--skill", "S7"], "no skill 'S7' in run 'run'; give one of S0, S1"),
+        (["run", "--skill", "../S0"], "no skill '../S0' in run"),
         (["run/S0", "--skill", "S0"], "'run/S0' is no run (it has no run.json)"),
         (["run/S1"], "'run/S1' is no run and no stage of one"),
         (["run/start"], "'run/start' is no run and no stage of one"),
@@ -280,12 +280,6 @@ def test_overrides_are_for_runs_that_have_begun(shell: Shell, run_folder: Path) 
     assert "--override is for a run that has begun; add --resume RUN" in shell.refuses(
         TRAIN, *words
     )
-
-
-def test_a_history_that_is_none(shell: Shell, run_folder: Path) -> None:
-    edited(run_folder / "run.json", history="long")
-    words = ["--resume", run_folder, "--override", "population=80"]
-    assert "history in" in shell.refuses(TRAIN, *words)
 
 
 MODULE = """

@@ -11,13 +11,14 @@ from typing import Any
 import pytest
 import torch
 from command_line import Shell, listing
+from told_by_runs import asked_at_start, result_of
 from torch import Generator
 
 from cgtorch import read_data
 from cgtorch.domains.exploration import FEWEST, LEAST
 from cgtorch.domains.knowledge import MOST_LABELS, MOST_TRANSITIONS
 from cgtorch.ground.environment import Dataset
-from cgtorch.runs.stored_data import stored_data
+from cgtorch.runs.chosen import stored_data
 from examples.cart import Cart, Rail
 
 TRAIN, EVALUATE, EXPORT = "cgtorch-train", "cgtorch-evaluate", "cgtorch-export"
@@ -39,7 +40,9 @@ def same(one: Dataset, other: Dataset) -> bool:
 
 
 def asked(part: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((part / "result.json").read_text())["asked"]
+    if part.name == "start":
+        return asked_at_start(part.parent)
+    found: dict[str, Any] = result_of(part.parent, part.name)["asked"]
     return found
 
 
@@ -222,7 +225,7 @@ def test_what_has_no_data(shell: Shell, logged: Path) -> None:
         (["bare"], "'bare/auto-1' has no data: the run is stored without them, or no models"),
         (["first", "--skill", "S7"], "run 'first' has no part 'S7'; give one of start, auto-1"),
         (["first", "--skill", "../x"], "run 'first' has no part '../x'; give one of start, auto"),
-        (["first/ledger"], "has no part 'ledger'; give one of start, auto-1"),
+        (["first/by_rows"], "has no part 'by_rows'; give one of start, auto-1"),
         (["first/auto-1/skill.json"], "'first/auto-1/skill.json' is no run"),
         (["log.csv"], "'log.csv' is no run"),
         (["none"], "'none' is no run"),

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from command_line import Shell, in_a_shell, listing
 from own_domains import EXAMPLE, IMPORTED, OWN_CART
+from told_by_runs import result_of
 from trained import Trained, copied
 
 TRAIN, EVALUATE, VIEW = "cgtorch-train", "cgtorch-evaluate", "cgtorch-view"
@@ -55,7 +56,7 @@ def test_settings_of_the_domain_are_kept(made: Path) -> None:
     assert found["settings"]["domain"] == "own_cart:Cart"
     assert found["domain_settings"] == {"wind": 0.1, "colour": "red"}
     assert found["goes_on_to"] == {"stage": "up"}
-    result = json.loads((made / "run" / "up" / "result.json").read_text())
+    result = result_of(made / "run", "up")
     assert (result["stage"], result["scenarios"]) == ("up", "calm")
     assert result["fresh"]["succeeded"] > 20
 

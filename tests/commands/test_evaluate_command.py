@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 from command_line import Shell, in_a_shell, listing
+from told_by_runs import logged
 from trained import Trained, copied
 
 from cgtorch.ground.statistics import wilson
-from cgtorch.runs.ledger import read_entry
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.storage import load_knowledge
 from cgtorch.training.evaluate import evaluate_skill, robust_successes
 
@@ -44,7 +44,7 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
     score = evaluate_skill(skill, run.domain, "near", 12, 4)
     knowledge = load_knowledge(run.folder / name, run.models.unfitted())
     kept = robust_successes(score, skill, knowledge, run.models, 4)
-    again = read_entry(run.folder, name, run.actions, run.like()).other_noise
+    again = logged(run.folder, "accepted", name)[-1]["w_other_noise"]
     assert kept is not None
     assert again is not None
     assert found == {
@@ -79,7 +79,7 @@ def test_a_run_and_its_stages(shell: Shell, trained: Trained, place: str, name: 
     assert listing(trained.folder) == before
 
 
-def test_an_earlier_skill_of_the_ledger(shell: Shell, trained: Trained) -> None:
+def test_an_earlier_skill_of_the_run(shell: Shell, trained: Trained) -> None:
     rest = ("--count", 12, "--seed", 4, "--json")
     restored = shell(EVALUATE, trained.folder, "--skill", "S0", *rest)
     assert restored.code == 0, restored
@@ -94,7 +94,7 @@ def test_a_skill_file_alone(shell: Shell, trained: Trained, tmp_path: Path) -> N
     )
     assert alone.code == 0
     one, other = json.loads(alone.out), json.loads(in_run.out)
-    for name in ("predicted", "w_other_noise"):  # a file has neither models nor a ledger
+    for name in ("predicted", "w_other_noise"):  # a file has neither models nor a log
         assert one.pop(name) is None
         assert other.pop(name) is not None
     assert one == other  # the run has the built-in robot and noise, too

@@ -16,7 +16,7 @@ from command_line import Shell, in_a_shell, listing
 from cgtorch.commands.export import FORMATS
 from cgtorch.export import FORMATS as FUNCTIONS
 from cgtorch.graphs import load_skill, same_behaviour, skill_to_dict
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 
 EXPORT = "cgtorch-export"
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"

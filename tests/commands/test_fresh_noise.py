@@ -1,6 +1,5 @@
 """`cgtorch-train --noise fresh`: a world as a robot's, in which nothing can be tried again."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +7,10 @@ import pytest
 import torch
 from command_line import Shell, as_options
 from support import create_run
+from told_by_runs import logged, result_of
 from torch import Tensor
 from trained import SMALL
 
-from cgtorch.runs.ledger import read_index
 from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import read_run
 from cgtorch.simulation import Recording
@@ -38,11 +37,6 @@ class Met:
         monkeypatch.setattr(Recording, "start", noted)
 
 
-def result_of(run: Path, name: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((run / name / "result.json").read_text())
-    return found
-
-
 def summed(asked: dict[str, dict[str, int]], name: str) -> int:
     return sum(phase[name] for phase in asked.values())
 
@@ -60,7 +54,7 @@ def test_rounds_end_with_a_skill_that_has_met_each_placement_once(
     assert result["practice"] == SMALL.practice
     goal = "has reached" if result["in_a_row"] >= SMALL.practice else "has not reached"
     assert f"run run {goal} its goal of 0.99" in ended.err
-    assert json.loads((run.folder / "summary.json").read_text())["reached"] == ("not" not in goal)
+    assert logged(run.folder, "ended")[-1]["reached"] == ("not" not in goal)
     progress = load_progress(run, run.folder / "auto-1")
     assert progress.skill is not None
     asked = result["asked"]
@@ -72,7 +66,7 @@ def test_rounds_end_with_a_skill_that_has_met_each_placement_once(
     assert "asked of the world: {motions} motions, {tests} tests, ".format(
         motions=summed(asked, "motions"), tests=summed(asked, "tests")
     ) in ended.err  # fmt: skip
-    (entry,) = read_index(run.folder)
+    (entry,) = logged(run.folder, "accepted")
     assert entry["w_other_noise"] is None
     lines = [line.split() for line in ended.out.splitlines()]
     (row,) = (line for line in lines if line[:1] == ["auto-1"])

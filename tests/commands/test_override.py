@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from command_line import Shell
+from told_by_runs import logged
 from torch import Tensor
 from trained import SMALL, Trained, begin_last, copied, first_evolution, interrupted
 
@@ -50,8 +51,9 @@ def test_a_stage_in_the_middle_is_made_again_under_what_was_taken_over(
     settings = replace(SMALL, population=30, max_transitions=15)
     assert read_run(folder).settings == settings
     changed = {"population": [60, 30], "max_transitions": [20, 15]}
-    entry = {"before": "S1", "changed": changed, "set_aside": "set-aside/1"}
-    assert about(folder)["history"] == [entry]
+    entry = {"stage": "S1", "changed": changed, "set_aside": "set-aside/1"}
+    (row,) = logged(folder, "changed")
+    assert row == row | entry
     wanted = copied(trained, tmp_path / "wanted", ("S0",))
     edited(wanted, settings=to_plain(settings))
     found = begin_last(read_run(folder))
@@ -61,7 +63,7 @@ def test_a_stage_in_the_middle_is_made_again_under_what_was_taken_over(
     ended = shell(TRAIN, *words)
     assert ended.code == 0, ended
     assert "instead of" not in ended.err
-    assert about(folder)["history"] == [entry]
+    assert logged(folder, "changed") == [row]
     assert same(begin_last(read_run(folder)), found)
 
 
@@ -83,6 +85,7 @@ def test_another_version_is_said_once_and_another_cgtorch_begins_the_stage_again
     assert (run.folder / "journal" / "S1").exists() == (not again)
     version = versions()[name]
     assert about(run.folder)[name] == version
-    assert about(run.folder)["history"][0]["changed"] == {name: ["0.0.1", version]}
+    (row,) = logged(run.folder, "changed")
+    assert row["changed"] == {name: ["0.0.1", version]}
     assert "was made with" not in shell(TRAIN, *words).err
-    assert len(about(run.folder)["history"]) == 1
+    assert logged(run.folder, "changed") == [row]

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from command_line import Ended, as_options, in_a_shell
+from told_by_runs import result_of
 from trained import SMALL
 
 from cgtorch.tabletop.actions import paper_actions
@@ -85,7 +86,7 @@ def test_a_run_is_trained_with_it_and_tried_again(run: tuple[Path, Ended]) -> No
     for name in NAMES:
         uses = f"S0 uses the action {name}.", f"No node of S0 is {name}: the search found no use"
         assert [line in ended.err for line in uses] == [name in used, name not in used]
-    result = json.loads((folder / "S0" / "result.json").read_text())
+    result = result_of(folder, "S0")
     words = ["--scenarios", "near", "--count", "40", "--seed", "5", "--json"]
     tried = in_a_shell("cgtorch-evaluate", str(folder), *words)
     assert tried.code == 0, tried.err

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from command_line import Shell
+from told_by_runs import logged
 from trained import SMALL, Trained, copied
 
 TRAIN = "cgtorch-train"
@@ -85,8 +86,8 @@ def test_to_the_goal_it_was_begun_for(shell: Shell, trained: Trained, tmp_path: 
     assert about(folder)["goes_on_to"] == {"stage": "auto", "goal": {**GOAL, "minutes": 0}}
     said(shell, *words, "--target", 0.5, "--minutes", 9)
     assert about(folder)["goes_on_to"]["goal"] == {"target": 0.5, "minutes": 9, "rounds": 1}
-    summary = json.loads((folder / "summary.json").read_text())
-    assert (summary["target"], summary["rounds"]) == (0.5, 1)
+    ended = logged(folder, "ended")[-1]
+    assert (ended["target"], ended["rounds"]) == (0.5, 1)
 
 
 @pytest.mark.parametrize(

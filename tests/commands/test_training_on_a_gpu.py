@@ -12,11 +12,11 @@ from pretended_gpu import pretended_gpu
 from rich.console import Console
 from safetensors.torch import load_file
 from support import custom_actions
+from told_by_runs import result_of
 from trained import SMALL
 
 from cgtorch.commands.train import command
 from cgtorch.graphs import RecurrentNN
-from cgtorch.ground.files import read_json
 from cgtorch.native import gpu as native_gpu
 from cgtorch.report import ProgressDisplay
 from cgtorch.runs.settings import RunSettings
@@ -34,7 +34,7 @@ def test_a_skill_is_evolved_there(tmp_path: Path) -> None:
         ended = CliRunner().invoke(command, [*where, *OPTIONS])
     assert ended.exit_code == 0, ended.output
     assert gpu.waits["rollout.py: _grouped"] > 20  # rollouts were there
-    (stage,) = read_json(tmp_path / "run" / "summary.json")["stages"]
+    stage = result_of(tmp_path / "run", "S0")
     assert stage["generations"] > 0
     assert stage["transitions"] > 0
 

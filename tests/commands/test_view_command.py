@@ -26,7 +26,7 @@ def test_help_has_examples(shell: Shell) -> None:
     ("words", "message"),
     [
         (["none"], "'none' is no run and no stage of one; give RUN or RUN/S2"),
-        ([REFERENCE, "--skill", "S9"], "no skill 'S9' in the ledger"),
+        ([REFERENCE, "--skill", "S9"], "no skill 'S9' in run"),
         ([REFERENCE, "--against", "none"], "'none' is no run and no stage of one"),
         ([REFERENCE, "--scenarios", "moon"], "unknown placement 'moon'; use one of near,"),
         ([REFERENCE, "--scenarios", "general-clutter"], "reads percepts of 7 numbers, those of"),

@@ -9,7 +9,7 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from cgtorch.export import to_state_machine
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 from cgtorch.tabletop.arm_command import arm_command
 from cgtorch.tabletop.kinematics import Robot, load_robot
 from cgtorch.tabletop.world import percept_of, stage_scenarios

@@ -13,7 +13,7 @@ from cgtorch.export import to_module, to_onnx
 from cgtorch.export.step import REQUESTS
 from cgtorch.graphs import Action, Skill
 from cgtorch.ground.environment import Environment, Lanes, start_lanes
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.simulation import MAX_STEPS, rollout
 from cgtorch.simulation.program import compile_graphs

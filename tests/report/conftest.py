@@ -1,9 +1,14 @@
-"""One small stage, told by the events of a real evolution in a real world."""
+"""A small stage, told by the events of a real evolution, and the page of the reference run."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
+from lxml import html
+from made_once import made_once, shared_folder
+from markupsafe import Markup
+from report_pages import REFERENCE
 from support import FOOTPRINT, search, seeded
 from torch import Tensor
 
@@ -26,6 +31,8 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.setup import Budget
 from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.improvement.trial import try_skill
+from cgtorch.report.page import report_page
+from cgtorch.runs.stored_run import read_run
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.models import GraspClassifier, TableTransitionModel
@@ -97,3 +104,28 @@ def events(knowledge: Knowledge) -> list[Event]:
     told.append(SkillAccepted("S1", skill, scenarios, result, keep, targets, 62.0))
     assert sum(isinstance(e, GenerationDone) for e in told) == GENERATIONS + 2
     return told
+
+
+@pytest.fixture(scope="session")
+def page_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The page of the reference run as it is written, made once."""
+    page = shared_folder(tmp_path_factory) / "page.html"
+    return made_once(page, _write).read_bytes()
+
+
+def _write(page: Path) -> None:
+    page.write_bytes(report_page(read_run(REFERENCE)))
+
+
+@pytest.fixture(scope="session")
+def page(page_bytes: bytes) -> html.HtmlElement:
+    """The page as a tree."""
+    return html.document_fromstring(page_bytes.decode())
+
+
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages are made of words alone, which takes a tenth of the time."""
+    for place in ("page", "sections"):
+        monkeypatch.setattr(f"cgtorch.report.{place}.inline_svg", lambda *about: Markup(""))
+    monkeypatch.setattr("cgtorch.report.sections.draw_clusters", lambda clusters: None)

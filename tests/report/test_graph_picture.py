@@ -14,7 +14,19 @@ from support import (
 )
 from torch import Tensor
 
-from cgtorch.graphs import ActionSet, Graphs, Skill, SubSkill, to_networkx
+from cgtorch.graphs import (
+    ActionSet,
+    BranchingNN,
+    ContinuousNN,
+    DelayNN,
+    Graphs,
+    Perceive,
+    Skill,
+    Step,
+    SubSkill,
+    Test,
+    to_networkx,
+)
 from cgtorch.graphs.clusters import clusters_of
 from cgtorch.improvement.compose import branching_action, compose
 from cgtorch.report import draw_skill
@@ -240,8 +252,9 @@ def test_nodes_are_coloured_by_action(drawn: tuple[Skill, Picture]) -> None:
         kind = gid.split(":")[2].rpartition("_")[0]
         fills.setdefault(kind, set()).add(to_hex(artist.get_facecolor()))
     fills = {kind: found - {START} for kind, found in fills.items()}
-    for kind in set(fills) & set(COLOURS):
-        assert fills[kind] <= {COLOURS[kind]}
+    wanted = {"MoveBase": Step, "Detect": Perceive, "Grasp": Test, "BranchingNN": BranchingNN}
+    for name, kind in (wanted | {"ContinuousNN": ContinuousNN, "DelayNN": DelayNN}).items():
+        assert fills.get(name, set()) <= {COLOURS[kind]}  # which names nothing of the tabletop
     subs = {name for s, _ in skills_of(skill) for name in s.sub_skills}
     assert all(fills[name] <= {"#ffffff"} for name in subs)
 

@@ -25,8 +25,8 @@ from cgtorch.improvement.events import (
     WorldAsked,
 )
 from cgtorch.report import ProgressDisplay
-from cgtorch.report.estimate import Estimate
-from cgtorch.report.event_messages import asked_of, message_of
+from cgtorch.report.messages import asked_of, message_of
+from cgtorch.report.progress import Estimate
 
 
 def console(terminal: bool, width: int = 100) -> Console:

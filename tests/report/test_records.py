@@ -9,8 +9,8 @@ from support import seeded
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torch.utils.tensorboard.summary import make_histogram
 
-from cgtorch.report import records
-from cgtorch.report.records import Records, histograms
+from cgtorch.report import tensorboard
+from cgtorch.report.tensorboard import Records, histograms
 
 TAGS = [f"column {i}" for i in range(5)]
 
@@ -38,7 +38,7 @@ def test_what_is_written_together_has_its_own_steps_and_times(tmp_path: Path) ->
 def test_nobody_waits_longer_than_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = Records(tmp_path, {}, (), 0)
     written.scalars({"a": 1.0}, 0)
-    monkeypatch.setattr(records, "SOON", -1.0)  # everything has waited for long enough
+    monkeypatch.setattr(tensorboard, "SOON", -1.0)  # everything has waited for long enough
     written.scalars({"a": 2.0}, 1)
     written._writer.flush()  # of TensorBoard's own thread, not of what waits here
     assert scalars(tmp_path, "a") == [(0, 1.0), (1, 2.0)]

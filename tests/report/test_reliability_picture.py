@@ -4,7 +4,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from cgtorch.ground.errors import DataError
-from cgtorch.report.reliability_picture import draw_reliability
+from cgtorch.report.plots import draw_reliability
 
 CURVE = ((0.01, 0.0, 500), (0.45, 0.6, 20), (0.97, 1.0, 300))
 

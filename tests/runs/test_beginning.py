@@ -9,7 +9,7 @@ from support import create_run
 from trained import SMALL, Trained, copied
 
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.runs.skills import stored_domain
+from cgtorch.runs.chosen import stored_domain
 from cgtorch.runs.stored_run import planned_run, read_run, write_run
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.settings import TabletopSettings

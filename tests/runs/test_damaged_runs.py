@@ -3,12 +3,9 @@
 import json
 import random
 import struct
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
-from dataclasses import replace
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -17,28 +14,20 @@ from trained import Trained, copied
 
 from cgtorch.evolution import EvolutionSettings, evolve
 from cgtorch.graphs import load_skill
-from cgtorch.ground.asked import Asked
 from cgtorch.ground.errors import CgtorchError, RunError
-from cgtorch.report import final_table
 from cgtorch.runs.storage import (
     load_population,
     load_progress,
-    load_result,
     load_tensors,
     save_tensors,
 )
 from cgtorch.runs.stored_run import StoredRun, read_run
-from cgtorch.tabletop.domain import Tabletop
-from cgtorch.training.context import Training
-from cgtorch.training.start import recall_spent
-from cgtorch.training.train import finished_generations
 
 FILES = [
     "run.json",
     "S0/skill.json",
     "S0/scenarios.json",
     "S0/seen.safetensors",
-    "S0/result.json",
     "S0/data.safetensors",
     "S0/gamma.safetensors",
     "S0/classifier.safetensors",
@@ -61,9 +50,6 @@ def used(folder: Path, file: str) -> None:
     run = opened(folder)
     if file.endswith("skill.json"):
         load_skill(folder / file, run.actions)
-    elif file.endswith("result.json"):
-        finished_generations(run)
-        final_table([load_result(folder / file)], run.domain)
     elif file.endswith("specialists.safetensors"):
         seeds = load_population(folder / file, run.actions)
         settings = EvolutionSettings(population=8)
@@ -155,75 +141,6 @@ def test_foreign_files(folder: Path, file: str, tmp_path: Path) -> None:
         path.write_bytes(raw)
 
 
-VALUES = [None, -1, 1.5, True, "x", [], {}, 10**30, 1e300]
-
-
-@pytest.mark.parametrize(
-    "key", ["stage", "scenarios", "generations", "seconds", "fresh", "overall", "asked"]
-)
-def test_results_with_a_wrong_value(folder: Path, key: str) -> None:
-    path = folder / "S0/result.json"
-    raw = path.read_text()
-    optional = key in ("fresh", "overall")  # where nothing is tried twice there is no such test
-    known = {"stage": ["x"], "scenarios": ["x"], "seconds": [1.5], "asked": [{}]}
-    allowed: list[Any] = [None] if optional else known.get(key, [])
-    try:
-        for value in VALUES:
-            path.write_text(json.dumps({**json.loads(raw), key: value}))
-            message = attempt(lambda: used(folder, "S0/result.json"))
-            assert bool(message) == (value not in allowed or value is True), value
-        data = json.loads(raw)
-        del data[key]
-        path.write_text(json.dumps(data))
-        message = attempt(lambda: used(folder, "S0/result.json"))
-        assert message.startswith(f"{key} of ") != optional
-    finally:
-        path.write_text(raw)
-
-
-COUNTS = {"motions": 1, "tests": 2, "looks": 3, "episodes": 4}
-SPENT = [
-    *VALUES[:5],
-    [],
-    {"trials": 3},
-    {"trials": []},
-    {"trials": {}},
-    {"trials": COUNTS, "practice": None},
-    {"trials": {**COUNTS, "hours": 5}},
-    {"trials": dict.fromkeys(list(COUNTS)[:3], 1)},
-    *({"trials": {**COUNTS, "looks": value}} for value in (-1, 1.0, True, "3", None, 2**60, [3])),
-]
-
-
-@pytest.mark.parametrize("value", SPENT)
-@pytest.mark.parametrize("place", ["start", "S0"])
-def test_damaged_counts_of_what_was_asked(folder: Path, place: str, value: object) -> None:
-    """A run that cannot say what it has asked of its world cannot keep to a budget."""
-    path, run = folder / place / "result.json", read_run(folder)
-    run = run if place == "S0" else replace(run, domain=NoStages(robot=run.domain.robot))
-    training, raw = (
-        Training(run, lambda event: None, lambda message: nullcontext()),
-        path.read_text(),
-    )
-    try:
-        path.write_text(json.dumps({**json.loads(raw), "asked": {"trials": COUNTS}}))
-        recall_spent(training)
-        assert training.purse.spent == {"trials": Asked(**COUNTS)}
-        path.write_text(json.dumps({**json.loads(raw), "asked": value}))
-        assert "does not say what was asked of the world" in attempt(lambda: recall_spent(training))
-        for content in ("", "null", "[]", "3", "{}"):
-            path.write_text(content)
-            assert attempt(lambda: recall_spent(training))
-    finally:
-        path.write_text(raw)
-
-
-class NoStages(Tabletop):
-    """The tabletop as if no stage of it were finished."""
-
-    stages: Mapping[str, str] = {}
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -256,11 +173,11 @@ def test_a_run_of_the_version_before(folder: Path) -> None:
     path = folder / "run.json"
     raw = path.read_text()
     try:
-        assert json.loads(raw)["version"] == 4
-        path.write_text(json.dumps({**json.loads(raw), "version": 3}))
+        assert json.loads(raw)["version"] == 5
+        path.write_text(json.dumps({**json.loads(raw), "version": 4}))
         message = attempt(lambda: read_run(folder))
         assert message.endswith(
-            "is of version 3, this cgtorch reads 4; use the version that wrote it"
+            "is of version 4, this cgtorch reads 5; use the version that wrote it"
         )
     finally:
         path.write_text(raw)

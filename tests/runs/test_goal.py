@@ -6,7 +6,7 @@ from statistics import NormalDist
 import pytest
 
 from cgtorch.ground.errors import SettingsError
-from cgtorch.runs.goal import SLACK, Goal, holds, mean_holds, worth_deciding
+from cgtorch.runs.settings import SLACK, Goal, holds, mean_holds, worth_deciding
 
 
 def allowed(goal: Goal, decision: int) -> int:

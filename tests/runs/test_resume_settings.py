@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 import torch
+from told_by_runs import logged
 from trained import SMALL, Trained, interrupted
 
 from cgtorch.ground.errors import SettingsError
-from cgtorch.runs.journal import FileJournal
-from cgtorch.runs.resume_settings import fixed_settings, overridden, refuse_others, take_over
+from cgtorch.runs.journal import FileJournal, take_over
+from cgtorch.runs.settings import fixed_settings, overridden, refuse_others
 from cgtorch.runs.stored_run import read_run
 
 
@@ -55,7 +56,7 @@ def test_the_history_grows_and_a_journal_goes_aside_each_time(
         assert run == replace(read_run(run.folder), domain=run.domain, actions=run.actions)
     taken = take_over(run, overridden(run, {"islands": 3}), "auto")
     assert (taken.before, taken.set_aside) == ("auto-1", None)
-    changes = [entry["changed"] for entry in about(run.folder)["history"]]
+    changes = [row["changed"] for row in logged(run.folder, "changed")]
     first = SMALL.attempts
     assert changes == [
         {"attempts": [first, first + 1]},
@@ -73,7 +74,7 @@ def test_what_stops_it_in_between_leaves_a_run_of_the_old_settings(
     def fails(*words: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cgtorch.runs.resume_settings.write_json", fails)
+    monkeypatch.setattr("cgtorch.runs.journal.write_json", fails)
     with suppress(KeyboardInterrupt):
         take_over(run, overridden(run, {"population": 30}), "S1")
     assert about(run.folder) == before
@@ -81,4 +82,7 @@ def test_what_stops_it_in_between_leaves_a_run_of_the_old_settings(
     monkeypatch.undo()
     taken = take_over(run, overridden(run, {"population": 30}), "S1")
     assert taken.set_aside is None
+    (row,) = logged(run.folder, "changed")  # written once, before all else
+    assert (row["stage"], row["changed"]) == ("S1", {"population": [60, 30]})
+    assert row["set_aside"] == "set-aside/1"
     assert read_run(run.folder).settings.population == 30

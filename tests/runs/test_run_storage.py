@@ -38,11 +38,11 @@ def test_progress_comes_back_to_the_last_bit(trained: Trained, stage: str, tmp_p
     save_progress(tmp_path, progress, run.settings.seed)
     kept = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     was = {path.name: path.read_bytes() for path in (run.folder / stage).iterdir()}
-    was.pop("result.json", None)
     assert set(kept) == set(was)
     for name in kept:
         if name.endswith(".json"):
-            assert kept[name] == was[name]
+            one, other = json.loads(kept[name]), json.loads(was[name])
+            assert one == {key: value for key, value in other.items() if key != "was"}
     again = load_progress(run, tmp_path)
     assert (again.skill is None) == (stage == "start")
     if again.skill is not None and progress.skill is not None:

@@ -17,10 +17,11 @@ from typing import Any
 import pytest
 import torch
 from support import create_run, random_skill
+from told_by_runs import asked_at_start, result_of
 from trained import SMALL, Trained, copied, without_success
 
 from cgtorch.graphs import save_skill, skill_to_dict
-from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.asked import NAMES, Asked, Purse
 from cgtorch.ground.errors import ActionError, GraphError, RunError
 from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.events import (
@@ -35,8 +36,9 @@ from cgtorch.improvement.events import (
     WorldTested,
 )
 from cgtorch.improvement.trial import try_skill
-from cgtorch.runs.skills import last_skill, lone_skill
-from cgtorch.runs.storage import load_progress, load_result, read_asked
+from cgtorch.runs.chosen import last_skill, lone_skill
+from cgtorch.runs.log import Row, read_log
+from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import read_run
 from cgtorch.simulation import Recording
 from cgtorch.tabletop.actions import paper_actions
@@ -219,7 +221,7 @@ def test_data_grow_and_nothing_is_lost(trained: Trained) -> None:
     run = read_run(trained.folder)
     known = [load_progress(run, run.folder / s).knowledge for s in ("start", "S0", "S1")]
     data = [each.dataset.extended(each.aside) for each in known]
-    asked = [run_asked(run.folder / s) for s in ("start", "S0", "S1")]
+    asked = [run_asked(run.folder, s) for s in ("start", "S0", "S1")]
     assert len(data[0].percept) <= asked[0]["motions"] <= SMALL.transitions + 1
     for before, after in pairwise(data):
         for name in ("percept", "tested"):
@@ -232,14 +234,15 @@ def test_data_grow_and_nothing_is_lost(trained: Trained) -> None:
     assert len(data[2].percept) > len(data[0].percept)
 
 
-def run_asked(folder: Path) -> Counter[str]:
-    """All that a run had asked of its world when a stage was finished."""
-    return Counter(
-        {
-            name: sum(phase[name] for phase in read_asked(folder / "result.json").values())
-            for name in ("motions", "tests", "looks", "episodes")
-        }
-    )
+def asked_by(run: Path, stage: str) -> dict[str, dict[str, int]]:
+    """What a run had asked of its world when a stage was finished, by phase."""
+    return asked_at_start(run) if stage == "start" else result_of(run, stage)["asked"]
+
+
+def run_asked(run: Path, stage: str) -> Counter[str]:
+    """The same of all phases."""
+    phases = asked_by(run, stage).values()
+    return Counter({name: sum(phase[name] for phase in phases) for name in NAMES})
 
 
 def test_results_are_what_the_world_says(trained: Trained) -> None:
@@ -254,9 +257,7 @@ def test_results_are_what_the_world_says(trained: Trained) -> None:
     run = read_run(trained.folder)
     first = load_progress(run, run.folder / "S0")
     assert trained.results[1]["w_size"] == len(first.solved)
-    summary = json.loads((trained.folder / "summary.json").read_text())
-    assert summary["stages"] == trained.results
-    assert summary["seed"] == SMALL.seed
+    assert run.results == trained.results
 
 
 def test_results_count_what_was_asked_of_the_world(trained: Trained) -> None:
@@ -267,7 +268,7 @@ def test_results_count_what_was_asked_of_the_world(trained: Trained) -> None:
         for event in told:
             if event.stage == name:
                 spent[event.phase] = spent.get(event.phase, Asked()) + event.asked
-        found = read_asked(trained.folder / name / "result.json")
+        found = asked_by(trained.folder, name)
         assert found == {phase: vars(asked) for phase, asked in spent.items()}
     assert {"exploration", "looks", "trials", "practice"} <= set(spent)
     assert {"exploration", "looks", "trials", "practice", "other noise"} >= set(spent)
@@ -298,14 +299,24 @@ def test_another_seed_makes_another_skill(trained: Trained, tmp_path: Path) -> N
 
 FILES = "data.safetensors", "seen.safetensors", "scenarios.json", "skill.json"
 TIMED = {"seconds": 0, "search_seconds": 0}
+OF_INTERRUPTIONS = ("recalled", "ended")
+
+
+def timeless(row: Row) -> Row:
+    return row | TIMED | {"time": 0}
 
 
 def ends_as(trained: Trained, folder: Path) -> None:
     """S1 in a folder is that of the run that nothing interrupted, but for times."""
     for name in FILES:
         assert (folder / "S1" / name).read_bytes() == (trained.folder / "S1" / name).read_bytes()
-    result = load_result(folder / "S1" / "result.json")
+    result = read_run(folder).results[1]
     assert result | TIMED == trained.results[1] | TIMED  # also in what was asked
+    one, other = (
+        [timeless(row) for row in read_log(place) if row["event"] not in OF_INTERRUPTIONS]
+        for place in (folder, trained.folder)
+    )
+    assert one == other
 
 
 def test_a_run_that_is_resumed_ends_as_if_it_had_not_been_interrupted(
@@ -374,7 +385,7 @@ def test_a_stage_that_is_killed_anywhere_ends_as_one_that_was_not(
     train(training, "S1")
     wanted = in_order(trained.events)
     assert [replace(e, recalled=False) for e in in_order(told)] == wanted
-    assert vars(training.purse.total) == dict(run_asked(trained.folder / "S1"))
+    assert vars(training.purse.total) == dict(run_asked(trained.folder, "S1"))
     ends_as(trained, folder)
 
 
@@ -396,7 +407,7 @@ def test_a_trial_that_is_killed_is_made_again_and_counted_once(
         patch.setattr(Recording, "step", ends)
         with pytest.raises(Interrupted):
             train(Training(read_run(folder), lambda e: None, quietly, purse=purse), "S1")
-    assert purse.total.motions > run_asked(folder / "S0")["motions"]
+    assert purse.total.motions > run_asked(folder, "S0")["motions"]
     train(Training(read_run(folder), lambda e: None, quietly), "S1")
     ends_as(trained, folder)
 

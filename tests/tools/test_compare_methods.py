@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 import pytest
+from told_by_runs import asked_at_start
 from trained import SMALL
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
@@ -18,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 from compare_methods import METHODS, beginning, compare, published, quietly
 from comparison.table import LABELS, cost_of, spread, table
 
-from cgtorch.runs.storage import load_dataset, read_asked
+from cgtorch.runs.storage import load_dataset
 from cgtorch.runs.stored_run import read_run
 from cgtorch.training.context import Training
 
@@ -116,7 +117,7 @@ def test_each_method_begins_with_its_own_data(folder: Path, begin: Path) -> None
     )
     assert len(explored.percept) <= HASTY.transitions + 1
     assert (len(given.percept), len(given.tested)) == (100, 120)
-    asked = read_asked(begin / "start" / "result.json")["exploration"]
+    asked = asked_at_start(begin)["exploration"]
     assert (asked["motions"], asked["tests"]) == (100, 120)
 
 

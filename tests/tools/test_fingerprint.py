@@ -22,10 +22,8 @@ def copy(tmp_path: Path) -> Path:
 
 
 def test_a_place_and_times_change_no_fingerprint(copy: Path) -> None:
-    summary = read_json(copy / "summary.json")
-    for stage in summary["stages"]:
-        stage["seconds"] += 1
-    write_json(copy / "summary.json", summary)
+    log = copy / "log.jsonl"
+    log.write_text(log.read_text().replace('"seconds": ', '"seconds": 1'))
     assert fingerprint(copy) == fingerprint(REFERENCE)
 
 

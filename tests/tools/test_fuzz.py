@@ -22,7 +22,7 @@ from cgtorch.ground.errors import RunError
 @pytest.mark.parametrize(
     ("kind", "path"),
     [
-        (damaged_json, REFERENCE / "S0" / "result.json"),
+        (damaged_json, REFERENCE / "S0" / "scenarios.json"),
         (damaged_tensors, REFERENCE / "S3" / "gamma.safetensors"),
         (damaged_xml, PR2 / "pr2.urdf"),
     ],

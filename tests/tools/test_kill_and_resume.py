@@ -17,9 +17,9 @@ def test_a_training_that_is_killed_ends_as_one_left_alone(tmp_path: Path) -> Non
     assert result.exit_code == 0, result.output
     assert "the same" in result.output
     found = results_of(tmp_path / "alone")
-    assert {"S0/skill.json", "S0/scenarios.json", "ledger/S0.json"} <= set(found)
+    assert {"S0/skill.json", "S0/scenarios.json", "log.jsonl"} <= set(found)
     assert {"start/data.safetensors", "S0/gamma.safetensors"} <= set(found)
-    assert found["fitness/best"]
+    assert {"generation", "accepted", "result"} <= {row["event"] for row in found["log.jsonl"]}
     assert not list(tmp_path.glob("*/journal/S0"))
 
 

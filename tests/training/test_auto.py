@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -11,15 +10,16 @@ from typing import Any
 import pytest
 import torch
 from support import create_run, seeded
+from told_by_runs import asked_at_start, logged
 from trained import SMALL, Trained, copied, without_success
 
 from cgtorch.ground.asked import Asked
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, FreshTested, StageStarted, WorldAsked
 from cgtorch.improvement.trial import first_percepts, try_skill
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.skills import last_skill
-from cgtorch.runs.storage import load_progress, load_result, read_asked
+from cgtorch.runs.chosen import last_skill
+from cgtorch.runs.settings import Goal
+from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import act, reached, train_until
@@ -29,8 +29,6 @@ from cgtorch.training.train import NotImprovedError, train
 
 GOAL = Goal(target=0.99, rounds=2)
 """More than two small rounds can reach."""
-
-START = Path("start") / "result.json"
 
 
 def quietly(message: str) -> nullcontext[None]:
@@ -67,13 +65,12 @@ def test_rounds_are_stages_of_the_run(made: Made) -> None:
     run, events, results = made
     assert run.stages == run.rounds == ("auto-1", "auto-2")
     assert [r["stage"] for r in results] == ["auto-1", "auto-2"]
-    assert [load_result(run.folder / r["stage"] / "result.json") for r in results] == results
+    assert read_run(run.folder).results == results
     assert last_skill(run.folder)[1].name == results[-1]["skill"]
     assert [e.stage for e in events if isinstance(e, StageStarted)] == ["auto-1", "auto-2"]
-    summary = json.loads((run.folder / "summary.json").read_text())
-    assert summary["stages"] == results
-    assert summary["reached"] == reached(GOAL, results)
-    assert summary["target"] == GOAL.target
+    ended = logged(run.folder, "ended")[-1]
+    assert ended["reached"] == reached(GOAL, results)
+    assert ended["target"] == GOAL.target
 
 
 def practised(events: list[Event], name: str) -> int:
@@ -120,7 +117,7 @@ def test_what_was_asked_adds_up_over_the_rounds(made: Made) -> None:
     """Tests on fresh scenarios ask a simulated world only; a robot is not asked for them."""
     run, events, results = made
     told = [e for e in events if isinstance(e, WorldAsked)]
-    spent = {name: Asked(**counts) for name, counts in read_asked(run.folder / START).items()}
+    spent = {name: Asked(**counts) for name, counts in asked_at_start(run.folder).items()}
     assert set(spent) == {"exploration"}
     for result in results:
         for event in told:
@@ -151,7 +148,7 @@ def same_as(made: Made, folder: Path, results: list[dict[str, Any]]) -> None:
 
 def in_its_second_round(made: Made, folder: Path) -> Path:
     """A copy of the run that has lost its second round."""
-    shutil.copytree(made[0].folder, folder, ignore=shutil.ignore_patterns("auto-2", "summary.json"))
+    shutil.copytree(made[0].folder, folder, ignore=shutil.ignore_patterns("auto-2"))
     return folder
 
 
@@ -357,45 +354,9 @@ def test_what_a_robots_world_was_asked_before_a_kill_is_not_asked_again(tmp_path
 COUNTED = {"in_a_row": 3, "practice": 4}
 
 
-@pytest.mark.parametrize("name", COUNTED)
-@pytest.mark.parametrize("value", [-1, 1.5, True, "many", [3], {}])
-def test_a_damaged_count_of_practice(tmp_path: Path, made: Made, name: str, value: object) -> None:
-    path = tmp_path / "result.json"
-    sound = {**made[2][0], **dict.fromkeys(("fresh", "overall", "decisive")), **COUNTED}
-    path.write_text(json.dumps(sound))
-    assert not reached(GOAL, [load_result(path)])
-    path.write_text(json.dumps({**sound, name: value}))
-    with pytest.raises(RunError, match=f"{name} of "):
-        load_result(path)
-
-
 @pytest.mark.parametrize("lost", ["in_a_row", "practice", "fresh"])
 def test_a_round_that_does_not_say_how_it_was_tested_has_reached_nothing(
-    tmp_path: Path, made: Made, lost: str
+    made: Made, lost: str
 ) -> None:
-    path = tmp_path / "result.json"
     sound = {**made[2][0], **dict.fromkeys(("fresh", "overall", "decisive")), **COUNTED}
-    path.write_text(json.dumps({name: each for name, each in sound.items() if name != lost}))
-    assert not reached(GOAL, [load_result(path)])
-
-
-VALUES: list[Callable[[Any], Any]] = [
-    lambda d: 3,
-    lambda d: {},
-    lambda d: {**d, "tried": -1},
-    lambda d: {**d, "succeeded": d["tried"] + 1},
-    lambda d: {**d, "scenarios": 3},
-    lambda d: {**d, "mean_return": "much"},
-    lambda d: {**d, "mean_return": [1.0]},
-]
-
-
-@pytest.mark.parametrize("change", VALUES)
-def test_a_damaged_decision(tmp_path: Path, made: Made, change: Callable[[Any], Any]) -> None:
-    path = tmp_path / "result.json"
-    score = decided(3, 4)["decisive"]
-    path.write_text(json.dumps({**made[2][0], "decisive": score}))
-    assert load_result(path)["decisive"] == score
-    path.write_text(json.dumps({**made[2][0], "decisive": change(score)}))
-    with pytest.raises(RunError, match="decisive of "):
-        load_result(path)
+    assert not reached(GOAL, [{name: each for name, each in sound.items() if name != lost}])

@@ -18,9 +18,8 @@ from cgtorch.improvement.events import (
     WorldAsked,
     WorldTested,
 )
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.settings import RunSettings
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
+from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.training.auto import train_until

@@ -11,6 +11,7 @@ import pytest
 import torch
 from reaching import TABLE
 from support import create_run
+from told_by_runs import asked_at_start
 from trained import SMALL
 from walking import Walking
 
@@ -18,7 +19,7 @@ from cgtorch.domains.exploration import EXPLORATION
 from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
 from cgtorch.improvement.events import Event, ModelsFitted, WorldAsked
 from cgtorch.runs.settings import RunSettings
-from cgtorch.runs.storage import load_progress, read_asked
+from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.simulation import Recording
 from cgtorch.tabletop.actions import paper_actions
@@ -27,7 +28,6 @@ from cgtorch.training.context import Training
 from cgtorch.training.start import initial_progress, recall_spent
 
 RUN = StoredRun(Path("none"), RunSettings(), TABLE, paper_actions())
-START = Path("start") / "result.json"
 BRIEF = SMALL
 
 
@@ -88,7 +88,7 @@ def test_the_first_data_are_counted_and_told(begun: tuple[StoredRun, list[Event]
     assert isinstance(asked, WorldAsked)
     assert isinstance(fitted, ModelsFitted)
     assert (asked.stage, asked.phase, fitted.stage) == ("start", EXPLORATION, "start")
-    assert read_asked(run.folder / START) == {EXPLORATION: vars(asked.asked)}
+    assert asked_at_start(run.folder) == {EXPLORATION: vars(asked.asked)}
     known = load_progress(run, run.folder / "start").knowledge
     assert len(known.dataset.succeeded) + len(known.aside.succeeded) == asked.asked.tests > 0
     carried_out = len(known.dataset.percept) + len(known.aside.percept)
@@ -142,9 +142,9 @@ def test_an_exploration_that_is_killed_is_made_again_and_counted_once(
     training = training_of(run)
     recall_spent(training)
     initial_progress(training)
-    first = begun[0].folder / "start"
-    for name in ("data.safetensors", "result.json"):
-        assert (run.folder / "start" / name).read_bytes() == (first / name).read_bytes()
+    first, path = begun[0].folder, "start/data.safetensors"
+    assert (run.folder / path).read_bytes() == (first / path).read_bytes()
+    assert asked_at_start(run.folder) == asked_at_start(first)
 
 
 def test_a_budget_that_does_not_cover_the_first_data_is_one_error(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_a_run_tells_all_that_it_has(cart: Any, tmp_path: Path) -> None:
     run = trained(cart.Cart, tmp_path / "run")
     assert run.stages == ("auto-1",)
     assert list(run.skills) == ["auto-1"]
-    assert run.skill.name == run.ledger[-1]["name"] == "auto-1"
+    assert run.skill.name == run.ledger[-1]["skill"] == "auto-1"
     assert run.results[0]["stage"] == "auto-1"
     score = run.evaluate(50, seed=4)
     assert score.tried == 50

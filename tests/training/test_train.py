@@ -1,6 +1,5 @@
 """What a stage gives to its method, and what its result says of what the method came to."""
 
-import json
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -18,7 +17,7 @@ from cgtorch.improvement.events import Event, Practised, SkillAccepted, StageSta
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.settings import RunSettings
-from cgtorch.runs.storage import load_progress, load_result
+from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios
@@ -174,7 +173,7 @@ def test_what_was_asked_adds_up_over_the_stages(
     once = {"motions": 7, "tests": 2, "looks": 5, "episodes": 5}
     twice = {name: 2 * count for name, count in once.items()}
     assert [r["asked"] for r in results] == [{"trials": once}, {"trials": twice}]
-    assert load_result(run.folder / "S1" / "result.json") == results[1]
+    assert run.results == results
 
 
 def test_a_run_that_goes_on_counts_what_was_asked_before(
@@ -227,7 +226,7 @@ def test_a_budget_that_is_spent_ends_a_run_with_what_it_has(
     monkeypatch.setitem(module.METHODS, "compose", lambda *given: next(each)(*given))
     results = train(training_of(run), "S3")
     assert [r["stage"] for r in results] == ["S0"]
-    assert json.loads((run.folder / "summary.json").read_text())["stages"] == results
+    assert run.results == results
     assert list(each) == []  # nobody has begun S2
 
 

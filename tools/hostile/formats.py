@@ -33,16 +33,16 @@ from cgtorch.improvement.checkpoint import (
     state_tensors,
 )
 from cgtorch.improvement.trial import Trial, trial_from, trial_tensors
+from cgtorch.report.reproduce import training_commands
 from cgtorch.runs.journal import MAX_BYTES, FileJournal, recalled_generations
-from cgtorch.runs.ledger import read_entry, read_index
+from cgtorch.runs.log import read_log
 from cgtorch.runs.storage import (
     load_dataset,
+    load_evidence,
     load_knowledge,
     load_population,
     load_progress,
-    load_result,
     load_scenarios,
-    read_asked,
     save_scenarios,
     save_tensors,
 )
@@ -59,6 +59,7 @@ from hostile.mutations import (
     Mutation,
     damaged_bytes,
     damaged_json,
+    damaged_log,
     damaged_tensors,
     damaged_xml,
 )
@@ -135,21 +136,22 @@ def _read_scenarios(folder: Path, actions: ActionSet) -> object:
         return load_scenarios(path, LIKE_CLUTTER)
 
 
-def _entries(folder: Path, actions: ActionSet) -> list[bytes]:
-    data = read_json(folder / "ledger" / "S1.json")
-    return [json.dumps({**data, "scenarios": data["scenarios"][::20]}).encode()]
+def _evidence(folder: Path, actions: ActionSet) -> list[bytes]:
+    data = read_json(folder / "S1" / "scenarios.json")
+    few, most = {"W": data["W"][::20], "M": []}, len(data["W"])
+    return [json.dumps({**few, "was": data["was"][:most:20]}).encode()]
 
 
-def _asked(folder: Path, actions: ActionSet) -> list[bytes]:
-    """What a run had asked before its first stage, and after its last."""
-    (folder / "start").mkdir(exist_ok=True)
-    spent = read_asked(folder / "S3" / "result.json")
-    few = {phase: spent[phase] for phase in list(spent)[:1]}
-    return [json.dumps({"asked": each}).encode() for each in (few, spent)]
+def _logs(folder: Path, actions: ActionSet) -> list[bytes]:
+    """The log of the run with few of its generations."""
+    rows = read_log(folder)
+    kept = [r for r in rows if r["event"] != "generation" or r["generation"] % 20 == 0]
+    return ["".join(json.dumps(row) + "\n" for row in kept).encode()]
 
 
-def _sums(spent: Mapping[str, Mapping[str, int]]) -> int:
-    return sum(Asked(**counts).actions for counts in spent.values())
+def _read_log(folder: Path, actions: ActionSet) -> object:
+    run = read_run(folder)
+    return run.results, training_commands(run, {}, read_log(folder))
 
 
 def _populations(folder: Path, actions: ActionSet) -> list[bytes]:
@@ -325,18 +327,11 @@ FORMATS = {
         _read_scenarios, _scenarios,
     ),
     "run": Format(damaged_json, 3, "run.json", _read_run, _kept("run.json")),
-    "ledger index": Format(
-        damaged_json, 12, "ledger/index.json",
-        lambda folder, actions: read_index(folder), _kept("ledger/index.json"),
-    ),
-    "ledger entry": Format(
-        damaged_json, 8, "ledger/S1.json",
-        lambda folder, actions: read_entry(folder, "S1", actions, LIKE).summary, _entries,
-    ),
-    "result": Format(
-        damaged_json, 14, "S0/result.json",
-        lambda folder, actions: load_result(folder / "S0" / "result.json"),
-        _kept("S0/result.json", "S3/result.json"),
+    "log": Format(damaged_log, 32, "log.jsonl", _read_log, _logs),
+    "evidence": Format(
+        damaged_json, 8, "S1/scenarios.json",
+        lambda folder, actions: load_evidence(folder / "S1" / "scenarios.json", LIKE)[1],
+        _evidence,
     ),
     "dataset": Format(
         damaged_tensors, 12, "S3/data.safetensors",
@@ -345,10 +340,6 @@ FORMATS = {
     ),
     "seen": Format(
         damaged_tensors, 3, "S3/seen.safetensors", _read_seen, _kept("S3/seen.safetensors")
-    ),
-    "asked": Format(
-        damaged_json, 6, "start/result.json",
-        lambda folder, actions: _sums(read_asked(folder / "start" / "result.json")), _asked,
     ),
     "population": Format(
         damaged_tensors, 12, "S0/specialists.safetensors",

@@ -96,6 +96,14 @@ def damaged_json(raw: bytes, draw: random.Random) -> bytes:
     return text
 
 
+def damaged_log(raw: bytes, draw: random.Random) -> bytes:
+    """A log with a damaged line."""
+    lines = raw.splitlines()
+    at = draw.randrange(len(lines))
+    lines[at] = damaged_json(lines[at], draw)
+    return b"\n".join(lines) + b"\n"
+
+
 def _changed_value(data: Any, draw: random.Random, raws: list[bytes]) -> Any:
     holder: Any = [data]
     root, key = holder, 0

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cgtorch.commands.common import waiting
 from cgtorch.ground.files import read_json, write_json
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 from cgtorch.tabletop.world import EDGES
 from cgtorch.training.evaluate import evaluate_skill
 from in_physics.tried import Rows, Sizes, Tried

@@ -17,7 +17,7 @@ from viser.transforms import SE3
 
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import DataError
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 from cgtorch.tabletop.kinematics import Robot, load_robot, robots_folder
 from cgtorch.tabletop.viewer.execution import Execution, execute, scenario_of
 from cgtorch.tabletop.viewer.scene import (

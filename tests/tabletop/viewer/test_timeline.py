@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.graphs import Graphs, Skill
-from cgtorch.runs.skills import last_skill
+from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.domain import Tabletop

@@ -1,7 +1,8 @@
-"""The page: the contents of a run's folder, in a template."""
+"""A run as one HTML page, made from the run's folder alone: its contents, in a template."""
 
 import shlex
 from base64 import b64encode
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -11,22 +12,51 @@ from matplotlib import rc_context
 from cgtorch import __version__
 from cgtorch.domains.domain import rewarded
 from cgtorch.domains.registry import is_code
+from cgtorch.graphs import Skill, load_skill
 from cgtorch.ground.asked import NAMES as ASKED
-from cgtorch.ground.errors import CgtorchError
-from cgtorch.ground.files import place_of
+from cgtorch.ground.errors import CgtorchError, RunError
+from cgtorch.ground.files import place_of, read_json
 from cgtorch.ground.statistics import wilson
-from cgtorch.report.estimate import as_time
 from cgtorch.report.html import STYLE, inline_svg, templates
-from cgtorch.report.page.contents import Contents, read_contents
-from cgtorch.report.page.course import course_of
-from cgtorch.report.page.models import model_quality
-from cgtorch.report.page.plots import draw_fitness, draw_rates, draw_success
-from cgtorch.report.page.reproduce import changes_of, training_commands
-from cgtorch.report.page.stages import stage_sections
+from cgtorch.report.messages import as_time
+from cgtorch.report.plots import draw_fitness, draw_rates, draw_success
+from cgtorch.report.reproduce import changes_of, training_commands
+from cgtorch.report.sections import model_quality, stage_sections
+from cgtorch.runs.journal import FOLDER as JOURNAL
+from cgtorch.runs.journal import FileJournal
+from cgtorch.runs.log import Row, read_log, results_in
 from cgtorch.runs.settings import all_fields, defaults_of, help_of
+from cgtorch.runs.storage import load_scenarios
 from cgtorch.runs.stored_run import AUTO, StoredRun, versions
 
-PACKAGE = "cgtorch.report.page"
+PACKAGE = "cgtorch.report"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A finished stage or round: its result, and what the run could solve at its end."""
+
+    name: str
+    result: Row
+    skill: Skill
+    solved: Any  # W, all scenarios that the skill has succeeded on
+    missed: Any  # M, all that it has failed on
+    accepted: Row | None  # its row in the log; None if no skill was accepted
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Everything that the page shows; `begun` are unfinished stages, and their generations."""
+
+    run: StoredRun
+    about: dict[str, Any]
+    stages: tuple[Stage, ...]
+    begun: tuple[tuple[str, int], ...]
+    log: list[Row]
+
+    def rows(self, event: str) -> list[Row]:
+        """The rows of the log of one kind."""
+        return [row for row in self.log if row["event"] == event]
 
 
 def report_page(run: StoredRun) -> bytes:
@@ -43,6 +73,26 @@ def report_page(run: StoredRun) -> bytes:
     return template.render(context, style=Markup(style)).encode()  # noqa: S704  our own file
 
 
+def read_contents(run: StoredRun) -> Contents:
+    """Read all files of a run; nothing is tried or computed again."""
+    about, log = read_json(run.folder / "run.json"), read_log(run.folder)
+    if not isinstance(about, dict):
+        raise RunError(f"{str(run.folder / 'run.json')!r} holds no object; restore the file")
+    accepted = {row["stage"]: row for row in log if row["event"] == "accepted"}
+    stages, journals = [], sorted((run.folder / JOURNAL).glob("*"))
+    for result in results_in(log, run.stages, run.folder):
+        folder = run.folder / result["stage"]
+        skill = load_skill(folder / "skill.json", run.actions)
+        known = load_scenarios(folder / "scenarios.json", run.like())
+        for test in ("fresh", "overall"):  # which a robot is not asked for
+            result[test] = result.get(test) or {"scenarios": run.kind, "tried": 0, "succeeded": 0}
+        about_it = result["stage"], result, skill, *known, accepted.get(result["stage"])
+        stages.append(Stage(*about_it))
+    begun = [path for path in journals if path.is_dir() and path.name not in run.stages]
+    counts = tuple((path.name, FileJournal(path).generations) for path in begun)
+    return Contents(run, about, tuple(stages), counts, log)
+
+
 def _context(contents: Contents) -> dict[str, Any]:
     run, domain = contents.run, contents.run.domain
     film, undrawn = _film(contents)
@@ -55,7 +105,7 @@ def _context(contents: Contents) -> dict[str, Any]:
         "made_with": [(name, str(contents.about.get(name, "–"))) for name in names],
         "version": __version__,
         "about": run.pictures.about(),
-        "stages": stage_sections(contents),
+        "stages": stage_sections(run, contents.stages),
         "results": [stage.result for stage in contents.stages],
         "asked": _asked_by_phase(contents),
         "usual": run.kind == domain.kinds[0],
@@ -63,10 +113,10 @@ def _context(contents: Contents) -> dict[str, Any]:
         "missing": [*_missing(contents), *undrawn],
         "success": _success(contents),
         **_evolution(contents),
-        "models": model_quality(contents),
+        "models": model_quality(contents.rows("models")),
         "settings": _settings(run),
-        "changes": changes_of(contents.about),
-        "training": training_commands(run, contents.about, contents.summary),
+        "changes": changes_of(contents.log),
+        "training": training_commands(run, contents.about, contents.log),
         "place": place_of(run.folder).as_posix(),
         "using": _using(contents),
         "time": as_time,
@@ -120,10 +170,10 @@ def _missing(contents: Contents) -> list[str]:
         f"{generations} generation{'s' if generations != 1 else ''}."
         for name, generations in contents.begun
     ]
-    if not contents.events.scalars:
-        said.append("There are no TensorBoard files, so the page has no plots of the evolution.")
-    if contents.fitted is None and run.learns:
-        said.append("There are no models Γ and C in the folder, so the page has no model reports.")
+    if not contents.rows("generation"):
+        said.append("The log has no generations, so the page has no plots of the evolution.")
+    if run.learns and not contents.rows("models"):
+        said.append("The log has nothing of Γ and C, so the page has no model reports.")
     return said
 
 
@@ -154,16 +204,16 @@ def _success(contents: Contents) -> Markup:
 
 
 def _evolution(contents: Contents) -> dict[str, Any]:
-    course = course_of(contents)
-    if course is None:
+    rows, run = contents.rows("generation"), contents.run
+    if not rows:
         return {"fitness": "", "rates": "", "logged": 0}
-    fitness = draw_fitness(contents.events, course, rewarded(contents.run.domain))
-    rates = draw_rates(contents.events, course)
+    fitness = draw_fitness(rows, run.stages, rewarded(run.domain))
+    rates = draw_rates(rows, run.stages)
     label = "Fitness, share of unsolved individuals, and nodes over generations"
     return {
         "fitness": inline_svg(fitness, "fitness", label),
         "rates": rates and inline_svg(rates, "rates", "Self-adapted rates over generations"),
-        "logged": len(course.steps),
+        "logged": len(rows),
     }
 
 

@@ -1,7 +1,9 @@
-"""The stages of a run, finished or not, with pictures of their results."""
+"""The sections of a run's page about its stages, finished or not, and about Γ and C."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from statistics import fmean
+from typing import TYPE_CHECKING, Any
 
 import torch
 from markupsafe import Markup
@@ -10,13 +12,21 @@ from torch import Tensor
 from cgtorch.domains.live import Placements
 from cgtorch.domains.pictures import Published
 from cgtorch.graphs.clusters import Cluster, clusters_of
-from cgtorch.ground.errors import printable
+from cgtorch.ground.errors import RunError, printable
 from cgtorch.report.graph_picture import draw_clusters
 from cgtorch.report.html import inline_svg
-from cgtorch.report.page.contents import Contents, Stage
+from cgtorch.report.plots import draw_learning, draw_reliability
+from cgtorch.runs.log import Row
 from cgtorch.runs.stored_run import StoredRun
 
+if TYPE_CHECKING:
+    from cgtorch.report.page import Stage
+
 NONE = Markup("")
+SCORES = {
+    "gamma": "Γ: − error of what it learns",
+    "classifier": "C: balanced accuracy",
+}
 
 
 @dataclass(frozen=True)
@@ -38,15 +48,15 @@ class StageSection:
     tested: bool
     published: Published | None
     drawing: Markup
-    stage: Stage | None = None
+    stage: "Stage | None" = None
     map: tuple[Markup, str] = (NONE, "")
     graph: tuple[Markup, str] = (NONE, "")
     panels: tuple[tuple[str, str, list[tuple[str, str, str]]], ...] = ()
 
 
-def stage_sections(contents: Contents) -> list[StageSection]:
+def stage_sections(run: StoredRun, stages: Sequence["Stage"]) -> list[StageSection]:
     """All stages of the run, and the missing ones of its domain unless the run makes rounds."""
-    made, run = {stage.name: stage for stage in contents.stages}, contents.run
+    made = {stage.name: stage for stage in stages}
     domain, wanted = run.domain, list(made)
     if domain.stages and run.kind == domain.kinds[0] and not run.rounds:
         wanted = list(domain.stages)
@@ -66,7 +76,7 @@ def stage_sections(contents: Contents) -> list[StageSection]:
     return sections
 
 
-def _map_of(stage: Stage, run: StoredRun, kind: str | None) -> tuple[Markup, str]:
+def _map_of(stage: "Stage", run: StoredRun, kind: str | None) -> tuple[Markup, str]:
     """A picture of all known results of a stage's skill; tests of a kind are marked."""
     solved, missed = len(stage.solved), len(stage.missed)
     if not solved + missed:
@@ -98,7 +108,7 @@ def _among(scenarios: Any, tests: Any) -> Tensor:
     return (found[:, None] == wanted).all(2).any(1)
 
 
-def _graph_of(stage: Stage, clusters: list[Cluster]) -> tuple[Markup, str]:
+def _graph_of(stage: "Stage", clusters: list[Cluster]) -> tuple[Markup, str]:
     """The skill's graph, like the paper's figures."""
     nodes, inner = stage.skill.num_nodes, len(clusters) - 1
     start = printable(clusters[0].nodes[clusters[0].start].label)
@@ -114,3 +124,59 @@ def _panel(cluster: Cluster) -> tuple[str, str, list[tuple[str, str, str]]]:
     edges = sorted(cluster.edges, key=lambda edge: order.index(edge.tail))
     rows = [(said[e.tail], e.outcome, (said | ends)[e.head]) for e in edges]
     return cluster.path, said[cluster.start], rows
+
+
+def model_quality(rows: Sequence[Row]) -> dict[str, Any]:
+    """The quality of the models by the `models` rows of the log: tables, and pictures."""
+    reported = [row for row in rows if row.get("gamma") and row.get("classifier")]
+    found: dict[str, Any] = {"seconds": [row["seconds"] for row in rows], "gamma": None}
+    if not reported:
+        return found
+    gamma, classifier = reported[-1]["gamma"], reported[-1]["classifier"]
+    _check_reports(gamma, classifier)
+    columns = gamma["coordinates"], gamma["units"], gamma["error"], gamma["baseline_error"]
+    errors = [
+        (name, _in_unit(error, unit), _in_unit(baseline, unit))
+        for name, unit, error, baseline in zip(*columns, strict=True)
+    ]
+    names = [f" for {name}" for name in gamma["coordinates"]]
+    if len(names) != len(gamma["choice"]):  # so that it is not known what an output is about
+        names = [""] * len(gamma["choice"])
+    learning, reliability, curves = NONE, NONE, []
+    for report, title in zip((gamma, classifier), SCORES.values(), strict=True):
+        if (curve := report.get("learning_curve")) and curve["sizes"]:
+            scores = curve["train_scores"], curve["test_scores"]
+            curves.append((title, curve["sizes"], *([*map(fmean, each)] for each in scores)))
+    if curves:
+        label = "Learning curves of the models"
+        learning = inline_svg(draw_learning(curves), "learning", label)
+    if bins := classifier["reliability"]:
+        figure = draw_reliability(bins, title="C", of="held-out labels")
+        reliability = inline_svg(figure, "reliability", "Reliability diagram of C")
+    return found | {
+        "gamma": gamma,
+        "classifier": classifier,
+        "errors": errors,
+        "choices": [each for each in zip(names, gamma["choice"], strict=True) if each[1]],
+        "learning": learning,
+        "reliability": reliability,
+    }
+
+
+def _check_reports(gamma: Row, classifier: Row) -> None:
+    """RunError if the numbers of a report do not fit one another."""
+    columns = gamma["coordinates"], gamma["units"], gamma["error"], gamma["baseline_error"]
+    sound = len({*map(len, columns)}) == 1 and all(
+        len(row) == 3 and 0 <= row[0] <= 1 and 0 <= row[1] <= 1 and row[2] >= 1
+        for row in classifier["reliability"]
+    )
+    for curve in filter(None, (gamma.get("learning_curve"), classifier.get("learning_curve"))):
+        for scores in (curve["train_scores"], curve["test_scores"]):
+            sound &= len(scores) == len(curve["sizes"]) and all(scores)
+    if not sound:
+        raise RunError("a report of the models in the log is damaged; restore log.jsonl")
+
+
+def _in_unit(value: float, unit: str) -> str:
+    """An error in the unit of its number, with metres as centimetres."""
+    return f"{100 * value:.2f} cm" if unit == "m" else f"{value:.3g} {unit}".rstrip()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from lxml import html
-from report_pages import parsed, rewrite, words
+from report_pages import parsed, rewrite, words, write_log
 from support import create_run, random_graphs, seeded
 
 from cgtorch.graphs import Skill, save_skill
@@ -40,7 +40,7 @@ def auto_run(folder: Path, scenarios: str, count: int, tested: bool = True) -> S
     test = {"scenarios": scenarios, "tried": score.tried, "succeeded": score.successes}
     numbers = dict.fromkeys(
         ("targets_succeeded", "targets", "earlier_failures", "earlier_failures_succeeded",
-         "w_size", "w_lost", "generations", "transitions"), 0,
+         "w_size", "w_lost", "generations", "transitions", "search_seconds"), 0,
     )  # fmt: skip
     names = {"stage": "auto-1", "scenarios": scenarios, "skill": "auto-1"}
     size = {"nodes": skill.num_nodes, "depth": skill.depth, "seconds": 1.5}
@@ -48,9 +48,8 @@ def auto_run(folder: Path, scenarios: str, count: int, tested: bool = True) -> S
     more = {"fresh": test, "overall": test, "decisive": None, "asked": ASKED}
     practice = {"in_a_row": 3, "practice": 20}
     result = {**names, **numbers, **size, **more, **practice}
-    rewrite(folder / "auto-1" / "result.json", result)
-    goal = {"target": 0.9, "minutes": 5.0, "rounds": 30}
-    rewrite(folder / "summary.json", {"stages": [], "reached": False, **goal})
+    goal = {"stage": "auto", "reached": False, "target": 0.9, "minutes": 5.0, "rounds": 30}
+    write_log(folder, [{"event": "result", **result}, {"event": "ended", **goal}])
     return run
 
 

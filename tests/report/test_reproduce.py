@@ -6,60 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
-from report_pages import REFERENCE, thinned
+from report_pages import thinned
 from support import create_run
-from torch.utils.tensorboard import SummaryWriter
 
 from cgtorch.commands.train import command
-from cgtorch.report.page.contents import read_contents
-from cgtorch.report.page.course import course_of
-from cgtorch.report.page.event_files import read_event_files
-from cgtorch.report.page.reproduce import changes_of, training_commands
+from cgtorch.report.reproduce import changes_of, training_commands
+from cgtorch.runs.log import Row
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.settings import TabletopSettings
 
 SLOW = "CGTORCH_NATIVE=0"
-
-
-def test_the_middle_of_a_histogram(tmp_path: Path) -> None:
-    values = torch.linspace(0, 1, 1001)
-    with SummaryWriter(str(tmp_path)) as writer:
-        writer.add_histogram("even", values, 5, bins=50)
-        writer.add_histogram("one", torch.full((7,), 0.25), 5, bins=24)
-        writer.add_scalar("number", 3.5, 9)
-    told = read_event_files(tmp_path)
-    ((step, even),), ((_, one),) = told.histograms["even"], told.histograms["one"]
-    assert step == 5
-    assert tuple(even) == pytest.approx((0.1, 0.5, 0.9), abs=0.02)
-    assert (one.low, one.mean, one.high) == pytest.approx((0.25, 0.25, 0.25))
-    assert told.scalars == {"number": ((9, 3.5),)}
-    assert (told.last("number"), told.last("other")) == (3.5, None)
-
-
-def test_what_was_done_again_is_told_once(tmp_path: Path) -> None:
-    """A run that goes on hides what it does again (see `cgtorch.report.tensorboard`)."""
-    for purge, value in ((None, 1.0), (2, 2.0)):
-        with SummaryWriter(str(tmp_path), purge_step=purge) as writer:
-            for step in range(purge or 0, 4):
-                writer.add_scalar("x", value, step)
-    assert read_event_files(tmp_path).scalars["x"] == ((0, 1.0), (1, 1.0), (2, 2.0), (3, 2.0))
-
-
-def test_the_course_of_the_reference_run() -> None:
-    contents = read_contents(read_run(REFERENCE))
-    course = course_of(contents)
-    assert course is not None
-    counts = {s.name: s.result["generations"] for s in contents.stages}
-    assert {name: end - first + 1 for name, first, end in course.stages} == {
-        name: count for name, count in counts.items() if count
-    }
-    best = contents.events.scalars["fitness/best"]
-    lines = course.lines(best)
-    assert [x for line in lines for x, _ in line] == list(range(1, len(best) + 1))
-    assert {line[-1][0] for line in lines} == set(course.ends)
-    assert len(lines) >= len(course.stages)
 
 
 def options(line: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -95,11 +52,19 @@ def test_the_command_gives_the_settings(
     tmp_path: Path, settings: RunSettings, own: TabletopSettings
 ) -> None:
     run = create_run(tmp_path / "run", settings, own)
-    (line,) = training_commands(run, {}, {})
+    (line,) = training_commands(run, {}, [])
     found = options(line)[1]
     theirs = {f.name: found.pop(f.name) for f in fields(own)}
     assert RunSettings(**found) == settings
     assert TabletopSettings(**theirs) == own
+
+
+def change(stage: str, **values: list[Any]) -> Row:
+    return {"event": "changed", "stage": stage, "changed": values}
+
+
+def ended(**goal: Any) -> Row:
+    return {"event": "ended", "stage": "auto", **goal}
 
 
 def with_stages(folder: Path, *names: str) -> StoredRun:
@@ -112,14 +77,14 @@ def with_stages(folder: Path, *names: str) -> StoredRun:
 def test_what_was_taken_over_is_taken_over_again(tmp_path: Path) -> None:
     create_run(tmp_path / "my run", RunSettings(population=700, attempts=5))
     run = with_stages(tmp_path / "my run", "S0", "S1", "S2", "auto-1", "auto-2", "auto-3")
-    history = [
-        {"before": "S1", "changed": {"population": [400, 600], "torch": ["2.4", "2.5"]}},
-        {"before": "S1", "changed": {"population": [600, 650]}},
-        {"before": "auto-1", "changed": {"engine": ["torch", "compiled"]}},
-        {"before": "auto-3", "changed": {"population": [650, 700], "attempts": [24, 5]}},
+    log = [
+        change("S1", population=[400, 600], torch=["2.4", "2.5"]),
+        change("S1", population=[600, 650]),
+        change("auto-1", engine=["torch", "compiled"]),
+        change("auto-3", population=[650, 700], attempts=[24, 5]),
+        ended(target=0.9, rounds=30, minutes=4.0),
     ]
-    about = {"history": history, "engine": "compiled"}
-    lines = training_commands(run, about, {"target": 0.9, "rounds": 30, "minutes": 4})
+    lines = training_commands(run, {"engine": "compiled"}, log)
     found = [options(line)[0] for line in lines]
     assert [(f["stage"], f["resume"] is None) for f in found] == [
         ("S0", True), ("S2", False), ("auto", False), ("auto", False),
@@ -129,25 +94,26 @@ def test_what_was_taken_over_is_taken_over_again(tmp_path: Path) -> None:
     assert found[1]["override"] == ("population=600", "population=650")
     assert [f["override"] for f in found[2:]] == [(), ("population=700", "attempts=5")]
     assert [(f["rounds"], f["target"]) for f in found[2:]] == [(2, 0.9), (3, 0.9)]
-    assert changes_of(about)[1] == ("S1", "torch", "2.4", "2.5")
+    assert changes_of(log)[1] == ("S1", "torch", "2.4", "2.5")
 
 
 @pytest.mark.parametrize(
-    ("summary", "words"),
+    ("goal", "words", "last"),
     [
-        ({"target": 0.99, "minutes": 10.0, "rounds": 3}, "auto --rounds 2"),
-        ({"target": 0.9, "minutes": 10.0, "reached": False}, "auto --target 0.9 --rounds 2"),
-        ({"target": 0.99, "reached": True, "stages": [{}, {}]}, "auto"),
-        ({"target": 0.99, "reached": True, "stages": [{}]}, "auto --rounds 2"),
-        ({"target": 0.99, "reached": True, "stages": 2}, "auto --rounds 2"),
+        ({"target": 0.99, "minutes": 10.0, "rounds": 3}, "auto --rounds 2", True),
+        ({"target": 0.9, "minutes": 10.0, "reached": False}, "auto --target 0.9 --rounds 2", True),
+        ({"target": 0.99, "reached": True}, "auto", True),
+        ({"target": 0.99, "reached": True}, "auto --rounds 2", False),
     ],
 )
 def test_of_a_goal_is_said_what_nobody_knows(
-    tmp_path: Path, summary: dict[str, Any], words: str
+    tmp_path: Path, goal: dict[str, Any], words: str, last: bool
 ) -> None:
     """A run that has reached its goal ends after as many rounds by itself."""
     create_run(tmp_path / "run", RunSettings())
-    (line,) = training_commands(with_stages(tmp_path / "run", "auto-1", "auto-2"), {}, summary)
+    run = with_stages(tmp_path / "run", "auto-1", "auto-2")
+    later = [] if last else [{"event": "stage", "stage": "auto-3"}]
+    (line,) = training_commands(run, {}, [ended(**goal), *later])
     assert line.partition(" --seed")[0] == f"cgtorch-train --stage {words}"
 
 
@@ -159,14 +125,14 @@ def test_settings_that_changed_within_the_first_stage_are_those_it_begins_with(
     run = with_stages(tmp_path / "run", "auto-1", "auto-2")
     entries = [("auto-1", [400, 500]), ("auto-2", [500, 700])]
     for count in (1, 2):
-        history = [{"before": b, "changed": {"population": v}} for b, v in entries[:count]]
-        line = training_commands(run, {"history": history}, {})[0]
+        log = [change(stage, population=values) for stage, values in entries[:count]]
+        line = training_commands(run, {}, log)[0]
         assert "--population 500" in line
         assert "400" not in line
 
 
 def test_another_robot_and_actions_are_named(tmp_path: Path) -> None:
-    folder = thinned(tmp_path / "it's", "S0", models=False, events=False)
+    folder = thinned(tmp_path / "it's", "S0", models=False)
     path = folder / "robot" / "robot.json"
     path.write_text(path.read_text() + "\n")
     (line,) = training_commands(read_run(folder), {}, {})

@@ -1,4 +1,4 @@
-"""Skills from command-line arguments: of a run, a stage, a ledger, or a file."""
+"""Skills and data from command-line arguments: of a run, of a stage, or of a file."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -9,13 +9,15 @@ from cgtorch.domains.domain import Adaptable, Domain
 from cgtorch.domains.registry import make_domain
 from cgtorch.domains.settings import from_plain
 from cgtorch.graphs import Skill, load_skill, resolve_actions
+from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import ActionError, GraphError, RunError, SettingsError
-from cgtorch.runs.ledger import read_entry
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.storage import ASIDE, DATA, load_dataset
 from cgtorch.runs.stored_run import StoredRun, read_about, read_run
 
 EXPORTED = (".pt2", ".onnx", ".py")
 """The ends of names of exports that programs run."""
+START = "start"
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ def chosen_skill(
 
     Args:
         path: A run, a stage in it, or a file.
-        name: Another skill of the run's ledger.
+        name: The skill of an earlier stage or round of the run.
         actions: Additional actions, which may be imported.
         kind: The kind of scenarios; by default the run's, or the domain's usual one.
         domain: The domain of a file, or the run's domain if it is code that may be imported.
@@ -56,8 +58,11 @@ def chosen_skill(
         return Chosen(skill, made, kind)
     if name is not None:
         run = read_run(path, actions, domain)
-        skill = read_entry(path, name, run.actions, run.like()).skill
-        stage = path / name if (path / name).is_dir() else None
+        if name not in run.stages:
+            known = ", ".join(run.stages) or "another run; this one has no skill yet"
+            raise RunError(f"no skill {name!r:.40} in run {str(path)!r}; give one of {known}")
+        stage = path / name
+        skill = load_skill(stage / "skill.json", run.actions)
     else:
         run, skill = last_skill(path, actions, domain)
         stage = path if (path / "skill.json").is_file() else path / run.stages[-1]
@@ -133,3 +138,44 @@ def lone_skill(
         f"{(others or errors)[0]}; name your own domain or action with --domain or --actions "
         "package.module:Class"
     )
+
+
+@dataclass(frozen=True)
+class StoredData:
+    """The data of a part of a run, such as "auto-1" or "start"."""
+
+    run: StoredRun
+    part: str
+    dataset: Dataset
+
+
+def stored_data(
+    path: Path, name: str | None = None, trusted: Sequence[str] = (), domain: str | None = None
+) -> StoredData:
+    """The data of a run, or of a stage such as RUN/S1, those kept aside to judge models last.
+
+    Args:
+        path: A run, or a stage in it.
+        name: A stage or round of the run, or "start"; by default the last one.
+        trusted: See `read_run`.
+        domain: See `read_run`.
+
+    Raises:
+        RunError: There is no such run or stage, or it is stored without data.
+    """
+    if name is None and path.is_dir() and not (path / "run.json").exists():
+        run, part = read_run(path.absolute().parent, trusted, domain), path.absolute().name
+    else:
+        run = read_run(path, trusted, domain)
+        part = name or (*run.stages, START)[max(0, len(run.stages) - 1)]
+    if part not in (START, *run.stages):
+        known = ", ".join((START, *run.stages))
+        raise RunError(f"run {str(run.folder)!r} has no part {part!r:.40}; give one of {known}")
+    folder = run.folder / part
+    if not (folder / DATA).is_file():
+        raise RunError(
+            f"{str(folder)!r} has no data: the run is stored without them, or no models were "
+            "learned; give another run"
+        )
+    data = load_dataset(folder / DATA).extended(load_dataset(folder / ASIDE))
+    return StoredData(run, part, data)

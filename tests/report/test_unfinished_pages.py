@@ -1,6 +1,5 @@
 """Pages of runs that are not finished, were thinned out, or are damaged."""
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -8,15 +7,13 @@ from typing import Any
 import pytest
 import torch
 from lxml import html
-from report_pages import REFERENCE, changed, parsed, rewrite, thinned, words
-from safetensors.torch import load, save
-from torch.utils.tensorboard import SummaryWriter
+from report_pages import REFERENCE, change_rows, changed, parsed, thinned, words
 
 from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.report.page import report_page
 from cgtorch.runs.journal import FileJournal
+from cgtorch.runs.log import LOG, read_log
 from cgtorch.runs.stored_run import read_run
-from cgtorch.svm.storage import notes_of
 
 
 def missing(page: html.HtmlElement) -> list[str]:
@@ -31,8 +28,8 @@ def test_a_run_that_has_just_begun(tmp_path: Path) -> None:
     page = parsed(folder)
     assert missing(page) == [
         "No stage is finished yet, so there is no skill to show.",
-        "There are no TensorBoard files, so the page has no plots of the evolution.",
-        "There are no models Γ and C in the folder, so the page has no model reports.",
+        "The log has no generations, so the page has no plots of the evolution.",
+        "The log has nothing of Γ and C, so the page has no model reports.",
     ]
     ours = [words(e) for e in page.find_class("ours")]
     assert ours == [*["This run Not made in this run."] * 4, "This run Not tried yet."]
@@ -45,7 +42,7 @@ def test_a_run_that_has_just_begun(tmp_path: Path) -> None:
 
 
 def test_a_run_in_the_middle(tmp_path: Path) -> None:
-    """Two stages are there, the third has begun, and TensorBoard knows more than is finished."""
+    """Two stages are there, the third has begun, and the log knows more than is finished."""
     folder = thinned(tmp_path / "run", "S0", "S1")
     FileJournal(folder / "journal" / "S2").record("x", {"generations": torch.tensor(7)})
     FileJournal(folder / "journal" / "S1").record("x", {"generations": torch.tensor(9)})
@@ -58,13 +55,13 @@ def test_a_run_in_the_middle(tmp_path: Path) -> None:
         "S0: near", "S1: left", "S2: right", "S3: far",
     ]  # fmt: skip
     assert [len(list(e.iter("svg"))) for e in page.iter("article")] == [3, 3, 1, 1]
-    results = [json.loads((folder / s / "result.json").read_text()) for s in ("S0", "S1")]
-    done = sum(result["generations"] for result in results)
+    done = sum(result["generations"] for result in read_run(folder).results)
     logged = words(page.get_element_by_id("evolution")).split("over the ")[1]
     assert int(logged.split()[0]) > done
     assert "cgtorch-train --stage S1 --seed" in words(page.get_element_by_id("reproduce"))
 
 
+@pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -82,77 +79,73 @@ def test_only_stages_that_were_asked_for_are_missing(
     assert missing(parsed(folder)) == said
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_search_that_an_interruption_divided_took_longer_than_what_came_after(
     tmp_path: Path,
 ) -> None:
     folder = thinned(tmp_path / "run", "S0")
-    changed(folder / "S0" / "result.json", seconds=2.0, search_seconds=75.0)
+    change_rows(folder, "result", seconds=2.0, search_seconds=75.0)
     assert "0:02 since the run was last continued; search 1:15 in all" in words(parsed(folder))
-    changed(folder / "S0" / "result.json", seconds=80.0, search_seconds=75.0)
+    change_rows(folder, "result", seconds=80.0, search_seconds=75.0)
     assert "1:20, of which search 1:15" in words(parsed(folder))
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_run_without_models_and_events(tmp_path: Path) -> None:
-    page = parsed(thinned(tmp_path / "run", "S0", models=False, events=False))
+    page = parsed(thinned(tmp_path / "run", "S0", models=False, generations=False))
     assert missing(page)[1:] == [
-        "There are no TensorBoard files, so the page has no plots of the evolution.",
-        "There are no models Γ and C in the folder, so the page has no model reports.",
+        "The log has no generations, so the page has no plots of the evolution.",
+        "The log has nothing of Γ and C, so the page has no model reports.",
     ]
     assert "No generation is in the run" in words(page.get_element_by_id("evolution"))
     assert "Nothing is known of the models." in words(page.get_element_by_id("models"))
 
 
-def test_models_are_told_from_events_where_they_are_gone(tmp_path: Path) -> None:
-    folder = thinned(tmp_path / "run", "S0", models=False)
-    with SummaryWriter(str(folder)) as writer:
-        writer.add_scalar("gamma/error_<b>", 0.5, 0)
-    models = parsed(folder).get_element_by_id("models")
-    rows = [[words(c) for c in row.iter("th", "td")] for row in models.iter("tr")]
-    assert ["<b>", "50.00 cm", "–"] in rows
-    assert any(row[0] == "object x" for row in rows)
-    assert any("Learning curves" in svg.get("aria-label") for svg in models.iter("svg"))
-
-
-def test_half_an_event_file(tmp_path: Path) -> None:
+def test_half_a_log(tmp_path: Path) -> None:
     """As after a power cut; what is whole is drawn."""
-    folder = thinned(tmp_path / "run", "S0")
-    (path,) = folder.glob("events.out*")
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
-    (svg,) = parsed(folder).xpath(
+    path = thinned(tmp_path / "run", "S0") / LOG
+    path.write_bytes(path.read_bytes()[:-9])
+    (svg,) = parsed(path.parent).xpath(
         "//section[@id='evolution']//svg[starts-with(@aria-label, 'Fit')]"
     )
     assert len(list(svg.iter("path"))) > 5
-    path.write_bytes(bytes(range(256)) * 100)
-    assert "No generation" in words(parsed(folder).get_element_by_id("evolution"))
 
 
+@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"fresh": {"scenarios": "near", "tried": 4, "succeeded": 5}},
+        {"seconds": -1},
+        {"scenarios": 7},
+        {"asked": {"trials": {"motions": 1}}},
+    ],
+)
+def test_damaged_results_are_named(tmp_path: Path, values: dict[str, Any]) -> None:
+    folder = thinned(tmp_path / "run", "S0", generations=False)
+    change_rows(folder, "result", **values)
+    with pytest.raises(RunError, match=rf"{next(iter(values))} in line \d+ of "):
+        report_page(read_run(folder))
+
+
+@pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize(
     ("file", "values"),
     [
-        ("S0/result.json", {"fresh": {"scenarios": "near", "tried": 4, "succeeded": 5}}),
-        ("S0/result.json", {"seconds": -1}),
-        ("S0/result.json", {"scenarios": 7}),
         ("S0/scenarios.json", {"W": [{}]}),
         ("S0/skill.json", {"start": "nobody"}),
-        ("ledger/index.json", {"skills": [{"name": "../S0"}]}),
         ("run.json", {"settings": {}}),
         ("robot/robot.json", {"footprint": "wide"}),
     ],
 )
 def test_damaged_files_are_named(tmp_path: Path, file: str, values: dict[str, Any]) -> None:
-    folder = thinned(tmp_path / "run", "S0", events=False, models=False)
+    folder = thinned(tmp_path / "run", "S0", generations=False)
     changed(folder / file, **values)
     with pytest.raises(CgtorchError):
         report_page(read_run(folder))
 
 
-def test_a_list_for_an_object(tmp_path: Path) -> None:
-    folder = thinned(tmp_path / "run", "S0", events=False, models=False)
-    rewrite(folder / "summary.json", [1])
-    with pytest.raises(RunError, match=r"summary\.json' holds no object; restore the file"):
-        report_page(read_run(folder))
-
-
+@pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize(
     ("model", "values"),
     [
@@ -171,11 +164,8 @@ def test_a_list_for_an_object(tmp_path: Path) -> None:
     ],
 )
 def test_damaged_reports_of_models(tmp_path: Path, model: str, values: dict[str, Any]) -> None:
-    folder = thinned(tmp_path / "run", "S0", events=False)
-    path = folder / "S0" / f"{model}.safetensors"
-    data = path.read_bytes()
-    header = json.loads(notes_of(data)["cgtorch"])
-    header["report"] |= values
-    path.write_bytes(save(load(data), metadata={"cgtorch": json.dumps(header)}))
-    with pytest.raises(RunError, match="damaged"):
+    folder = thinned(tmp_path / "run", "S0", generations=False)
+    report = read_log(folder)[1][model]
+    change_rows(folder, "models", **{model: report | values})
+    with pytest.raises(RunError, match=r"log\.jsonl"):
         report_page(read_run(folder))

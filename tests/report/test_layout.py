@@ -5,9 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.graphs.clusters import Edge
-from cgtorch.report.estimate import as_time
-from cgtorch.report.layers import crossings, in_rows
-from cgtorch.report.placing import place
+from cgtorch.report.layout import crossings, in_rows, place
+from cgtorch.report.messages import as_time
 
 
 @given(st.integers(1, 12), st.randoms(use_true_random=False))

@@ -7,8 +7,8 @@ from typing import Any
 
 from cgtorch.domains.domain import rewarded
 from cgtorch.domains.registry import with_name
-from cgtorch.runs.goal import Goal
-from cgtorch.runs.settings import all_fields, defaults_of, option_of
+from cgtorch.runs.log import Row
+from cgtorch.runs.settings import Goal, all_fields, defaults_of, option_of
 from cgtorch.runs.stored_run import AUTO, StoredRun
 
 AGAIN = "runs/again"
@@ -16,25 +16,22 @@ ENGINE, TORCH = "engine", "torch"
 """The name of the engine in run.json, and its value if nothing is compiled."""
 
 
-def changes_of(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+def changes_of(log: Sequence[Row]) -> list[tuple[str, str, str, str]]:
     """For each change of a run, in order: the next stage, the name, the old and the new value."""
-    history = about.get("history", [])
-    found = []
-    for entry in history if isinstance(history, list) else []:
-        changed = entry.get("changed") if isinstance(entry, dict) else None
-        for name, values in changed.items() if isinstance(changed, dict) else ():
-            if isinstance(values, list) and len(values) == 2:
-                found.append((str(entry.get("before")), name, *map(str, values)))
-    return found
+    return [
+        (row["stage"], name, *map(str, values))
+        for row in log
+        if row["event"] == "changed"
+        for name, values in row["changed"].items()
+        if len(values) == 2
+    ]
 
 
-def training_commands(
-    run: StoredRun, about: Mapping[str, Any], summary: Mapping[str, Any]
-) -> list[str]:
+def training_commands(run: StoredRun, about: Mapping[str, Any], log: Sequence[Row]) -> list[str]:
     """The commands that train a run again, with the same changes of settings at the same stages."""
     names = {ENGINE, *run.all_settings()}
-    taken = [c for c in changes_of(about) if c[1] in names]
-    legs = _legs(run, summary, [before for before, *_ in taken])
+    taken = [c for c in changes_of(log) if c[1] in names]
+    legs = _legs(run, log, [before for before, *_ in taken])
     # A stage begins again where settings change in its middle, so the first one has the new ones.
     first = legs[0][1] if legs else None
     at_first = {name: old for before, name, old, _ in reversed(taken) if before != first}
@@ -53,17 +50,17 @@ def training_commands(
 
 
 def _legs(
-    run: StoredRun, summary: Mapping[str, Any], changed: Sequence[str]
+    run: StoredRun, log: Sequence[Row], changed: Sequence[str]
 ) -> list[tuple[list[str], str | None]]:
     """The options of each part of a run under the same settings, and what changed before it."""
     own = list(run.domain.stages)
     stages = [name for name in run.stages if name in own] or ([] if run.rounds else own[:1])
+    ended = ([row for row in log if row["event"] == "ended"] or [{}])[-1]
     goal = [
-        f"{option_of(f.name)} {summary[f.name]}"
+        f"{option_of(f.name)} {ended[f.name]}"
         for f in fields(Goal)
-        if type(summary.get(f.name)) in (int, float)
+        if ended.get(f.name) not in (None, f.default)
         and f.name != "rounds"
-        and summary[f.name] != f.default
         and not (rewarded(run.domain) and f.name == "target")
     ]
     made = [(name, [f"--stage {name}"]) for name in stages]
@@ -71,8 +68,7 @@ def _legs(
         (name, [f"--stage {AUTO}", *goal, f"--rounds {count}"])
         for count, name in enumerate(run.rounds or ([] if own else [""]), 1)
     ]
-    listed = summary.get("stages")
-    if summary.get("reached") and isinstance(listed, list) and len(listed) == len(run.stages):
+    if ended.get("reached") and ended is log[-1]:
         made[-1][1].pop()  # it ends by itself after as many rounds
     legs: list[tuple[list[str], str | None]] = []
     for i, (name, words) in enumerate(made):

@@ -11,6 +11,7 @@ import pytest
 from lxml import html
 from reaching import TABLE
 from report_pages import REFERENCE, STAGES, final_text, parsed, thinned, words
+from told_by_runs import logged
 
 from cgtorch.graphs import load_skill, to_networkx
 from cgtorch.graphs.clusters import clusters_of
@@ -22,7 +23,7 @@ from cgtorch.tabletop.table_picture import MOST_MARKS
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
 RUN = read_run(REFERENCE)
-SUMMARY = json.loads((REFERENCE / "summary.json").read_text())
+RESULTS = RUN.results
 
 
 def part(page: html.HtmlElement, name: str) -> html.HtmlElement:
@@ -143,8 +144,8 @@ def test_every_picture_is_words_and_lines(page: html.HtmlElement) -> None:
 def test_results_are_those_of_the_run(page: html.HtmlElement) -> None:
     head, *rows = table(page, "Objects reached")
     assert head[:5] == ["stage", "on", "reached", "the paper", "W kept"]
-    assert len(rows) == len(SUMMARY["stages"]) == 4
-    for row, result in zip(rows, SUMMARY["stages"], strict=True):
+    assert len(rows) == len(RESULTS) == 4
+    for row, result in zip(rows, RESULTS, strict=True):
         found = dict(zip(head, row, strict=True))
         paper = EXPERIMENTS[result["stage"]]
         assert found["stage"] == result["stage"]
@@ -159,7 +160,7 @@ def test_results_are_those_of_the_run(page: html.HtmlElement) -> None:
 
 
 def test_the_paper_says_the_same_here_as_in_the_final_table(page: html.HtmlElement) -> None:
-    lines = [line.split() for line in final_text(SUMMARY["stages"], TABLE).splitlines()[2:]]
+    lines = [line.split() for line in final_text(RESULTS, TABLE).splitlines()[2:]]
     _, *rows = table(page, "Objects reached")
     for (name, _, _, theirs, *_), row in zip(lines[:-1], rows, strict=True):
         assert theirs == EXPERIMENTS[name].text
@@ -173,7 +174,7 @@ def test_a_stage_stands_beside_the_paper(page: html.HtmlElement, name: str) -> N
     published, here = EXPERIMENTS[name], part(page, name)
     paper, ours = (here.find_class(kind)[0] for kind in ("paper", "ours"))
     assert words(paper.find_class("score")[0]) == f"{published.succeeded} of 5 reached"
-    (result,) = (r for r in SUMMARY["stages"] if r["stage"] == name)
+    (result,) = (r for r in RESULTS if r["stage"] == name)
     reached = f"{result['targets_succeeded']} of {result['targets']} reached"
     assert words(ours.find_class("score")[0]) == reached
     assert len(published.details) == 2
@@ -239,9 +240,8 @@ def test_a_graph_is_the_skill(page: html.HtmlElement, name: str) -> None:
 
 
 def test_evidence_of_a_stage(page: html.HtmlElement) -> None:
-    index = json.loads((REFERENCE / "ledger" / "index.json").read_text())["skills"]
-    for line, result in zip(index, SUMMARY["stages"], strict=True):
-        found = facts(part(page, line["name"]))
+    for line, result in zip(logged(REFERENCE, "accepted"), RESULTS, strict=True):
+        found = facts(part(page, line["stage"]))
         lost = f"{line['w_lost']} of {line['w_before']}"
         assert found["Solved before, lost now (eq. 1a)"] == lost
         won = f"{line['m_solved']} of {line['m_before']}"
@@ -255,13 +255,13 @@ def test_evidence_of_a_stage(page: html.HtmlElement) -> None:
 
 def test_all_around(page: html.HtmlElement) -> None:
     text = words(page.get_element_by_id("overall"))
-    last = SUMMARY["stages"][-1]["overall"]
+    last = RESULTS[-1]["overall"]
     assert "34 of 40 = 85.0%" in text
     assert f"{last['succeeded']} of {last['tried']} reached by S3" in text
 
 
 def test_evolution_counts_the_generations(page: html.HtmlElement) -> None:
-    total = sum(result["generations"] for result in SUMMARY["stages"])
+    total = sum(result["generations"] for result in RESULTS)
     text = words(page.get_element_by_id("evolution"))
     assert f"over the {total} generations of the run" in text
 
@@ -298,8 +298,7 @@ def test_settings_and_versions(page: html.HtmlElement) -> None:
 
 def test_how_to_reproduce(page: html.HtmlElement) -> None:
     text = page.get_element_by_id("reproduce").text_content()
-    seed = SUMMARY["seed"]
-    assert f"cgtorch-train --stage S3 --seed {seed} --run-dir runs/again\n" in text
+    assert f"cgtorch-train --stage S3 --seed {RUN.settings.seed} --run-dir runs/again\n" in text
     assert "cgtorch-evaluate reference --scenarios perimeter --count 1000\n" in text
 
 
