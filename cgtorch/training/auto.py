@@ -1,11 +1,15 @@
 """The automatic loop: try the skill, collect successes and failures, improve, until a goal is met.
 
 There are no stages. A round improves the skill on the scenarios missed so far and tries it on fresh
-scenarios. Successes join W, failures join M.
+scenarios. Successes join W, failures join M. A skill is tested many times, and one of many tests
+would succeed by chance. So the goal is decided on scenarios that are drawn for nothing else, and
+each further decision requires more confidence.
 """
 
 import time
 from dataclasses import replace
+from math import isfinite, sqrt
+from statistics import NormalDist, fmean, stdev
 from typing import Any
 
 import torch
@@ -16,17 +20,11 @@ from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.search import derived_generator
 from cgtorch.graphs import Skill, merged
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.statistics import wilson
 from cgtorch.improvement.events import FreshTested, StageStarted, TrainingEnded
 from cgtorch.improvement.setup import Progress
 from cgtorch.improvement.trial import first_percepts
-from cgtorch.runs.settings import (
-    DECISIVE_EPISODES,
-    EPISODES,
-    Goal,
-    holds,
-    mean_holds,
-    worth_deciding,
-)
+from cgtorch.runs.settings import Goal
 from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import AUTO, StoredRun, round_name
 from cgtorch.training.context import Training
@@ -43,6 +41,11 @@ from cgtorch.training.train import (
 
 TESTS = 41  # the generator of tests, derived like an island's
 BATCH = 400  # scenarios tried before the next look at how many were missed
+DOUBT = 0.05
+"""The probability of error of all two-sided intervals of one run together."""
+SLACK = 1.25  # times the target's failure rate, which the bound of the interval may show
+EPISODES, DECISIVE_EPISODES = 100, 200
+"""Number of episodes of the screening test and of the decisive test, in a domain with rewards."""
 ENOUGH = 12  # missed scenarios to learn from; a specialist's group has as many
 
 
@@ -226,3 +229,37 @@ def _with(progress: Progress[Any], score: Score) -> Progress[Any]:
     old, new = len(progress.solved), int(score.succeeded.sum())
     parts = known[:old], seen[:new], known[old:], seen[new:]
     return replace(progress, solved=solved, missed=missed, seen=torch.cat(parts))
+
+
+def mean_holds(returns: list[float], target: float, decision: int) -> bool:
+    """Whether the mean of the returns, less some standard errors, is at least the target.
+
+    It is False if an episode has no return because it did not finish. The first decision of a run
+    (`decision` counts from 1) subtracts one standard error; later ones subtract more, as in
+    `holds`.
+    """
+    if len(returns) < 2 or not all(map(isfinite, returns)):
+        return False
+    errors = NormalDist().inv_cdf(NormalDist().cdf(-1) * 2 / (decision * (decision + 1)))
+    return fmean(returns) + errors * stdev(returns) / sqrt(len(returns)) >= target
+
+
+def holds(goal: Goal, succeeded: int, tried: int, decision: int) -> bool:
+    """Whether a decisive test shows that the goal is reached.
+
+    Two conditions must hold. The share solved is at least the target, and the lower end of Wilson's
+    interval allows at most `SLACK` times the failures that the target allows. For 99 %, this end is
+    at least 98.75 %, which takes about 99.1 % of 4000.
+
+    Decision number j (from 1) of a run has confidence 1 - 0.05 / (j (j + 1)), so the errors of all
+    decisions sum to at most 0.05. A run whose skills are all below the bound therefore ends with
+    success with a probability of at most 2.5 % (intervals are two-sided, and Wilson's are
+    approximate). A goal that holds means: at least 98.75 %, with confidence 97.5 %.
+    """
+    low, _ = wilson(succeeded, tried, 1 - DOUBT / (decision * (decision + 1)))
+    return tried > 0 and succeeded >= goal.target * tried and 1 - low <= SLACK * (1 - goal.target)
+
+
+def worth_deciding(goal: Goal, succeeded: int, tried: int) -> bool:
+    """Whether the screening test was good enough for a decisive test."""
+    return tried >= goal.screening and succeeded >= goal.target * tried

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 import torch
-from cgtorch.improvement.acting import OTHER
 from told_by_runs import logged, result_of
 from trained import Trained
 
@@ -26,6 +25,7 @@ from cgtorch.improvement.events import (
     WorldAsked,
     WorldTested,
 )
+from cgtorch.improvement.improve import OTHER
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.log import COLUMNS, LOG, SOON, SPREAD_EVERY, LogWatch, Row, read_log, spreads
 from cgtorch.runs.storage import load_evidence, load_progress

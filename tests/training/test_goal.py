@@ -6,7 +6,8 @@ from statistics import NormalDist
 import pytest
 
 from cgtorch.ground.errors import SettingsError
-from cgtorch.runs.settings import SLACK, Goal, holds, mean_holds, worth_deciding
+from cgtorch.runs.settings import Goal
+from cgtorch.training.auto import SLACK, holds, mean_holds, worth_deciding
 
 
 def allowed(goal: Goal, decision: int) -> int:
