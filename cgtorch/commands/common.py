@@ -170,7 +170,7 @@ run_or_skill = click.argument(
 skill_option = click.option(
     "--skill",
     "name",
-    shell_complete=completion.ledger_names,
+    shell_complete=completion.skill_names,
     help="Use this skill of the run's ledger in place of the last one.",
 )
 domain_option = click.option(

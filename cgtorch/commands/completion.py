@@ -73,12 +73,11 @@ def stages(context: Context) -> Iterable[str]:
 
 
 @completing
-def ledger_names(context: Context) -> Iterable[str]:
-    """Names of the skills in the ledger of the run on the command line."""
+def skill_names(context: Context) -> Iterable[str]:
+    """Names of the skills of the run on the command line."""
     # While an option lacks its value, click has not yet taken the arguments out of `args`.
     run = context.params.get("path") or next(iter(context.args), ".")
-    ledger = Path(run) / "ledger"
-    return sorted(path.stem for path in ledger.glob("*.json") if path.stem != "index")
+    return sorted(path.parent.name for path in Path(run).glob("*/skill.json"))
 
 
 @completing

@@ -1,7 +1,6 @@
 """The sections of a run's page about its stages, finished or not, and about Γ and C."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,6 @@ from markupsafe import Markup
 from torch import Tensor
 
 from cgtorch.domains.live import Placements
-from cgtorch.domains.pictures import Published
 from cgtorch.graphs.clusters import Cluster, clusters_of
 from cgtorch.ground.errors import RunError, printable
 from cgtorch.report.graph_picture import draw_clusters
@@ -29,50 +27,35 @@ SCORES = {
 }
 
 
-@dataclass(frozen=True)
-class StageSection:
-    """The content of the page for a stage or round; some domains have no pictures.
+def stage_sections(run: StoredRun, stages: Sequence["Stage"]) -> list[dict[str, Any]]:
+    """What the template shows of all stages, and of the domain's missing ones unless it has rounds.
 
-    Attributes:
-        scenarios: Its kind of scenarios.
-        tested: Whether it is one of the domain's stages, which have tests of their own.
-        drawing: A drawing of its task.
-        stage: The finished stage, or None.
-        map: A picture of what the skill solved.
-        graph: A picture of its graph.
-        panels: The graph as tables: title, start node, and for each outcome from node to node.
+    `tested` is whether it is one of the domain's stages, which have tests of their own.
     """
-
-    name: str
-    scenarios: str
-    tested: bool
-    published: Published | None
-    drawing: Markup
-    stage: "Stage | None" = None
-    map: tuple[Markup, str] = (NONE, "")
-    graph: tuple[Markup, str] = (NONE, "")
-    panels: tuple[tuple[str, str, list[tuple[str, str, str]]], ...] = ()
-
-
-def stage_sections(run: StoredRun, stages: Sequence["Stage"]) -> list[StageSection]:
-    """All stages of the run, and the missing ones of its domain unless the run makes rounds."""
-    made = {stage.name: stage for stage in stages}
-    domain, wanted = run.domain, list(made)
+    made, domain = {stage.name: stage for stage in stages}, run.domain
+    wanted = list(made)
     if domain.stages and run.kind == domain.kinds[0] and not run.rounds:
         wanted = list(domain.stages)
     sections = []
     for name in wanted:
         kind, stage = domain.stages.get(name), made.get(name)
-        drawing = Markup(run.pictures.stage(name) if kind else "")  # noqa: S704  the domain's own
-        about = kind is not None, run.pictures.published.get(name), drawing
-        if stage is None:
-            sections.append(StageSection(name, kind or "", *about))
-            continue
-        clusters = clusters_of(stage.skill)
-        pictures = _map_of(stage, run, kind), _graph_of(stage, clusters)
-        panels = tuple(map(_panel, clusters))
-        scenarios = stage.result["scenarios"]
-        sections.append(StageSection(name, scenarios, *about, stage, *pictures, panels))
+        section = {
+            "name": name,
+            "scenarios": kind or "",
+            "tested": kind is not None,
+            "published": run.pictures.published.get(name),
+            "drawing": Markup(run.pictures.stage(name) if kind else ""),  # noqa: S704  its own
+            "stage": stage,
+        }
+        if stage is not None:
+            clusters = clusters_of(stage.skill)
+            section |= {
+                "scenarios": stage.result["scenarios"],
+                "map": _map_of(stage, run, kind),
+                "graph": _graph_of(stage, clusters),
+                "panels": [*map(_panel, clusters)],
+            }
+        sections.append(section)
     return sections
 
 

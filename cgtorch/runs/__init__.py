@@ -1,1 +1,1 @@
-"""A run on disk: its folder, settings, journal and ledger, and how it is resumed."""
+"""A run on disk: its folder, settings, log and journal, and how it is resumed."""
