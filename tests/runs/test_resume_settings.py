@@ -33,7 +33,7 @@ def test_settings_that_decided_on_what_is_there_are_fixed(trained: Trained) -> N
     }
     for name, reason in fixed.items():
         other = (known[name], "x")
-        with pytest.raises(SettingsError, match=f"{name.replace('_', '-')} .* as {reason}"):
+        with pytest.raises(SettingsError, match=f"{name} .* as {reason}"):
             overridden(run, {name: other})
         with pytest.raises(SettingsError, match=f"as {reason}; leave it out"):
             refuse_others(run, {name: other}, "leave it out")
