@@ -1,10 +1,10 @@
 """Collision tests of postures, beside pytorch-kinematics in torch."""
 
-import math
 from functools import partial
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from benchmarks.measure import (
     CPU,
@@ -16,23 +16,34 @@ from benchmarks.measure import (
     run_threads,
 )
 from cgtorch.tabletop.kinematics import ArmModel, load_robot
-from cgtorch.tabletop.kinematics.clear_ways import BISECTIONS, SHOULDER_JOINTS, touches
-from cgtorch.tabletop.kinematics.grasping import table_slab
-from cgtorch.tabletop.kinematics.solids import Boxes
+from cgtorch.tabletop.kinematics.clear_ways import (
+    HELD,
+    MARGIN,
+    OBJECT,
+    POSTURE,
+    TABLE,
+    Places,
+    Scene,
+    ways_clear,
+)
+from cgtorch.tabletop.kinematics.grasping import places_of
+from cgtorch.tabletop.kinematics.scene import random_postures
+from cgtorch.tabletop.kinematics.solids import fixed_solids
 
-TABLE = torch.tensor([[0.9, 0.1, 0.3, 0.8, 1.2, 0.7]])
+AT = torch.tensor([[0.9, 0.1, 0.3, 0.8, 1.2, 0.7]], dtype=torch.float64)
+NEAR = 0.03  # m: pairs that are farther apart are not looked at
 BORDERLINE = 1e-3
 """The share of postures whose results may differ, as rounding decides them."""
 
 
 def touching(effort: Effort) -> Line:
-    """Frames, capsules and boxes of random postures in one pass, against one after the other."""
+    """Frames and solids of random postures in one pass, against one after the other."""
     with run_threads(1):
         parts = tuple(_of_robot(name, int(4000 * effort.size), effort) for name in ("pr2", "fetch"))
     return Line(
         name="touching",
         compared="whether arms touch a table or their body / frames by pytorch-kinematics and "
-        "capsules in torch, float32, one thread",
+        "distances of solids in torch, float64, one thread",
         unit="x faster",
         target=4.0,
         clock="CPU",
@@ -42,81 +53,73 @@ def touching(effort: Effort) -> Line:
 
 
 def _of_robot(name: str, count: int, effort: Effort) -> Comparison:
-    robot, generator = load_robot(description=name), torch.Generator().manual_seed(0)
-    arm = robot.arms[0]
-    lower = torch.where(arm.continuous, -math.pi, arm.lower).float()
-    upper = torch.where(arm.continuous, math.pi, arm.upper).float()
-    q = lower + (upper - lower) * torch.rand(count, len(lower), generator=generator)
-    asked = arm, q, table_slab(TABLE.expand(count, 6)), robot.body.to(q)
-    gap = float((touches(*asked) != touches_in_torch(*asked)).float().mean())
+    robot = load_robot(description=name)
+    arm, scene = robot.arms[0], robot.scenes[0]
+    q = random_postures(arm, count)
+    places, kind = (
+        places_of(AT[:, :3], AT)[torch.zeros(count).long()],
+        torch.full((count,), POSTURE),
+    )
+    ours = partial(ways_clear, arm, scene, places, kind, q[:, None])
+    other = partial(gaps, arm, scene, places, q, POSTURE)
+    clear, (low, high) = ours(), (bound.amin(1) for bound in other())
+    gap = float(torch.where(clear, high < MARGIN, low > MARGIN).double().mean())
     if gap > BORDERLINE:
         raise DisagreementError(f"{gap:.1%} of postures are said otherwise; nothing was timed")
-    works = partial(touches, *asked), partial(touches_in_torch, *asked)
-    ours, other = in_turns(works, effort.repeats, CPU, calls=[5, 1])
+    ours, other = in_turns((ours, other), effort.repeats, CPU, calls=[5, 1])
     return Comparison(
         label=f"{name}, {count} postures",
         ours=ours,
         other=other,
         ratio=other.median / ours.median,
         difference=gap,
-        sizes={"postures": count, "joints": len(lower)},
+        sizes={"postures": count, "joints": q.shape[1]},
         note=f"{count / ours.median:.3g} postures/s",
     )
 
 
-def touches_in_torch(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
-    """The same as `touches`, for all postures at once."""
-    capsules = arm.capsules.to(q)
-    loose = capsules.joints > SHOULDER_JOINTS
-    hit = []
-    for rows in torch.arange(len(q)).split(2048):  # more fall out of the processor's cache
-        start, end = capsules.placed(arm.frames(q[rows]))
-        table = _collide(start, end, capsules.radius, slab[rows])
-        start, end, radius = start[:, loose], end[:, loose], capsules.radius[loose]
-        hit.append(table | _collide(start, end, radius, body[None]))
-    return torch.cat(hit)
+def gaps(
+    arm: ArmModel, scene: Scene, places: Places, q: Tensor, kinds: int
+) -> tuple[Tensor, Tensor]:
+    """Bounds of the distances of pairs (B, P) in postures (B, n), infinite if it is large, m."""
+    pose, size = scene.pose.repeat(len(q), 1, 1, 1), scene.size.repeat(len(q), 1, 1)
+    pose[:, TABLE], pose[:, OBJECT], pose[:, HELD] = places.table, places.object, places.held
+    size[:, TABLE] = places.table_size
+    moves = (scene.frame >= 0).nonzero()[:, 0]
+    carrier = arm.frames(q)[scene.frame[moves]].transpose(0, 1)
+    moved = carrier[..., :3, :3] @ pose[:, moves]
+    pose[:, moves] = moved + pad(carrier[..., :3, 3:], (3, 0))
+    radius = fixed_solids(pose.flatten(0, 1), size.flatten(0, 1)).radius.view(len(q), -1)
+    a, b, kind = scene.pairs.unbind(1)
+    away = (pose[:, a, :, 3] - pose[:, b, :, 3]).norm(dim=-1) - radius[:, a] - radius[:, b]
+    row, pair = ((away < NEAR) & (kind & kinds > 0)).nonzero(as_tuple=True)
+    a, b = a[pair], b[pair]
+    found = _bounds(pose[row, a], size[row, a], pose[row, b], size[row, b])
+    low, high = (torch.full_like(away, torch.inf).index_put((row, pair), x) for x in found)
+    return low, high
 
 
-def _collide(start: Tensor, end: Tensor, radius: Tensor, boxes: Boxes) -> Tensor:
-    """(B,) whether capsules, ends (B, C, 3), radius (C,), m, meet boxes (B or 1, N, ...)."""
-    near = _close((start + end) / 2, (end - start).norm(dim=-1) / 2 + radius, boxes)
-    row, capsule, box = near.nonzero(as_tuple=True)
-    which = row if len(boxes.half) > 1 else torch.zeros_like(row)
-    half, turn = boxes.half[which, box], boxes.rotation[which, box].transpose(-1, -2)
-    a, b = (
-        (turn @ (point[row, capsule] - boxes.centre[which, box])[..., None]).squeeze(-1)
-        for point in (start, end)
-    )
-    hit = torch.zeros(len(start), dtype=torch.bool)
-    hit[row[_distance(a, b - a, half) < radius[capsule]]] = True
-    return hit
+def _bounds(a: Tensor, size: Tensor, b: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
+    """Bounds (M,) of distances of solids (M, 3, 4) of sizes (M, 5) by Gilbert's iteration, m.
 
-
-def _close(middle: Tensor, reach: Tensor, boxes: Boxes) -> Tensor:
-    """(B, C, N) whether balls about capsules (B, C, 3) reach boxes, which is rare.
-
-    Columns are computed one by one, as rows of three numbers are too short for vectorisation.
+    It needs no simplex ("An iterative procedure for computing the minimum of a quadratic form on a
+    convex set", 1966).
     """
-    x, y, z = (middle[:, :, None, i] - boxes.centre[:, None, :, i] for i in range(3))
-    away = torch.zeros_like(x)
-    for i in range(3):
-        axis = boxes.rotation[:, None, :, :, i]
-        along = axis[..., 0] * x + axis[..., 1] * y + axis[..., 2] * z
-        away = away + (along.abs() - boxes.half[:, None, :, i]).clamp_min(0).square()
-    return away <= (1.00001 * reach).square()[:, :, None]
+    balls, away = size[:, 4] + other[:, 4], a[..., 3] - b[..., 3]
+    least = torch.full_like(balls, -torch.inf)
+    for _ in range(60):
+        new = _farthest(a, size, -away) - _farthest(b, other, away)
+        length, step = away.norm(dim=1).clamp_min(1e-12), away - new
+        least = torch.maximum(least, (away * new).sum(1) / length)
+        share = (away * step).sum(1) / step.square().sum(1).clamp_min(1e-30)
+        away = away - share.clamp(0, 1)[:, None] * step
+    return least - balls, away.norm(dim=1) - balls
 
 
-def _distance(start: Tensor, along: Tensor, half: Tensor) -> Tensor:
-    """(M,) distances of segments (M, 3) and centred boxes (M, 3), by bisection on the slope, m."""
-
-    def outside(share: Tensor | float) -> Tensor:
-        point = start + share * along
-        return point - point.clamp(-half, half)
-
-    low, high = torch.zeros_like(start[:, :1]), torch.ones_like(start[:, :1])
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        rising = (outside(middle) * along).sum(-1, keepdim=True) > 0
-        low, high = torch.where(rising, low, middle), torch.where(rising, middle, high)
-    ends = [outside(share).norm(dim=-1) for share in (0.0, 1.0, (low + high) / 2)]
-    return torch.stack(ends).amin(0)
+def _farthest(pose: Tensor, size: Tensor, way: Tensor) -> Tensor:
+    """(M, 3) the points of solids without their balls that are farthest in directions (M, 3)."""
+    local = (way[:, None] @ pose[..., :3]).squeeze(1)
+    at = torch.where(local < 0, -size[:, :3], size[:, :3])
+    flat = local[:, :2] / local[:, :2].norm(dim=1, keepdim=True).clamp_min(1e-30)
+    at = at + pad(size[:, 3:4] * flat, (0, 1))
+    return (pose[..., :3] @ at[..., None]).squeeze(-1) + pose[..., 3]

@@ -306,8 +306,8 @@ def _moved(robot: Robot) -> None:
     """Use a robot a little; what cannot be computed must have been refused."""
     for arm in robot.arms:
         q = torch.zeros(1, len(arm.joint_names), dtype=torch.float64)
-        parts = arm.frames(q), arm.capsules.start, arm.capsules.end
-        if not all(bool(part.isfinite().all()) for part in (*parts, robot.body.centre)):
+        parts = arm.frames(q), arm.solids.pose, arm.solids.size
+        if not all(bool(part.isfinite().all()) for part in (*parts, robot.body.pose)):
             raise ArithmeticError(f"arm {arm.name} of the robot is not of finite numbers")
 
 

@@ -1,5 +1,4 @@
-/* Arms, row after row: inverse kinematics, whether postures touch something and ways are clear, and planned
-   ways (cgtorch.tabletop.kinematics). */
+/* Arms, row after row: inverse kinematics, whether ways are clear, and planned ways (cgtorch.tabletop.kinematics). */
 #include <stdlib.h>
 
 #include "engine/draws.h"
@@ -18,13 +17,11 @@ typedef struct {
 } Solutions;
 
 EXPORT_STRUCT(Chain)
-EXPORT_STRUCT(Boxes)
-EXPORT_STRUCT(Arms)
 EXPORT_STRUCT(ClosedForm)
 EXPORT_STRUCT(Solutions)
 EXPORT_STRUCT(Scene)
 EXPORT_STRUCT(Ways)
-EXPORT_CONSTANTS(arm_limits, MOST_FRAMES, MOST_CAPSULES, MOST_JOINTS, MOST_SOLIDS, MOST_PAIRS, MOST_WAYPOINTS)
+EXPORT_CONSTANTS(arm_limits, MOST_FRAMES, MOST_JOINTS, MOST_SOLIDS, MOST_PAIRS, MOST_WAYPOINTS)
 
 static void some_solutions(void *what, int64_t begin, int64_t end) {
   const Solutions *s = what;
@@ -41,17 +38,6 @@ static void some_solutions(void *what, int64_t begin, int64_t end) {
 
 int arm_solutions(Solutions *solutions, int64_t threads) {
   in_parallel(some_solutions, solutions, solutions->poses, 64, threads);
-  return DONE;
-}
-
-static void some_arms(void *what, int64_t begin, int64_t end) {
-  const Arms *a = what;
-  for (int64_t row = begin; row < end; row++)
-    a->hit[row] = (unsigned char)arm_touches(a, row, a->q + row * a->chain.joints);
-}
-
-int arms_touch(Arms *arms, int64_t threads) {
-  in_parallel(some_arms, arms, arms->postures, 256, threads);
   return DONE;
 }
 

@@ -8,12 +8,11 @@
 #define MOST_LINE 64
 #define PLACES 5 /* pre-grasp, half-way, grasp, half-way up and lifted */
 
-enum { REACH = 1, APPROACH = 2, LIFT = 4 }; /* kinds of ways */
+enum { REACH = 1, APPROACH = 2, LIFT = 4, POSTURE = 16 }; /* kinds of ways */
 enum { NONE, BLOCKED, STRAIGHT };
 
 typedef struct {
   Ways ways;       /* tables and objects of rows (B,) */
-  Arms arms;       /* tables (B,), and body */
   ClosedForm form;
   const real *path, *home;         /* (M, PLACES, 4, 4) of the tool; (joints,) */
   const int64_t *at;               /* (M,) row of each line */
@@ -116,18 +115,17 @@ static int64_t choose(Search *s, int soon) {
   return count;
 }
 
-/* Whether a posture can follow the places, without touching table or body. */
-static int followed(const Search *s, const Posture *p, real joints[PLACES][FORM_JOINTS]) {
+/* Whether a posture can follow the places, clear of table and body. */
+static int followed(Search *s, const Posture *p, real joints[PLACES][FORM_JOINTS]) {
   static const int ORDER[] = {0, 4, 1, 3}; /* after the grasp */
   const Grasps *g = s->grasps;
-  const int64_t row = g->at[s->line];
   for (int i = 0; i < PLACES; i++)
     if (!solved(&g->form, p->branch, p->pan, s->wrist[i], joints[i]) ||
         (i && farthest_joint(g, joints[i], joints[i - 1]) >= (real)g->most_step))
       return 0;
-  if (arm_touches(&g->arms, row, p->q)) return 0;
+  if (!is_clear(&s->way, POSTURE, s->held, p->q, 1)) return 0;
   for (int i = 0; i < 4; i++)
-    if (arm_touches(&g->arms, row, joints[ORDER[i]])) return 0;
+    if (!is_clear(&s->way, POSTURE, s->held, joints[ORDER[i]], 1)) return 0;
   return 1;
 }
 

@@ -17,7 +17,7 @@ from cgtorch.tabletop.kinematics.inverse_kinematics import (
     numerical_candidates,
     numerical_follow,
 )
-from cgtorch.tabletop.kinematics.solids import Capsules, Solids
+from cgtorch.tabletop.kinematics.solids import Solids
 
 _CHUNK = 16_384  # rows of forward kinematics at a time: more fall out of the processor's cache
 
@@ -49,7 +49,6 @@ class ArmModel:
         continuous: (n,) whether a joint is continuous, without limits.
         mount: (4, 4) pose of the arm's base link in the robot's base frame.
         reach: The largest distance between the origins of the base link and of the tool frame, m.
-        capsules: Approximate collision shapes: the `solids`, with cylinders as capsules.
         solids: The collision shapes of the URDF.
         closed_form: The parameters of closed-form inverse kinematics, or None without it.
     """
@@ -61,7 +60,6 @@ class ArmModel:
     continuous: Tensor
     mount: Tensor
     reach: float
-    capsules: Capsules
     solids: Solids
     closed_form: SphericalArm | None
     _xml: bytes

@@ -23,14 +23,13 @@ from cgtorch.tabletop.kinematics.grasp_lines import HALF, LINE, Grasps, grasps
 from cgtorch.tabletop.kinematics.grasping import (
     APPROACHES,
     CHUNK,
-    GRASP_HEIGHT,
     check_rows,
     lines_to_try,
     nth_of_each,
-    table_slab,
+    places_of,
 )
 from cgtorch.tabletop.kinematics.robot import Robot
-from cgtorch.tabletop.kinematics.solids import Boxes, Tensors
+from cgtorch.tabletop.kinematics.solids import Tensors
 
 PLANNED = 3
 """The number of grasps of each object for which a way is planned if none is straight."""
@@ -138,7 +137,7 @@ def _ways_back(
     """Ways (B, VIAS, n) home with the object, straight if that is clear, and their lengths (B,)."""
     back = ways.line[:, -1:].repeat(1, VIAS, 1)
     count = torch.ones_like(ways.rank)
-    places = replace(places_of(position, table_slab(table.to(position))), held=ways.held)
+    places = replace(places_of(position, table.to(position)), held=ways.held)
     keys = row_keys(position, table, seed)
     for which, arm in enumerate(robot.arms):
         n, scene = len(arm.joint_names), robot.scenes[which]
@@ -184,23 +183,12 @@ def row_keys(position: Tensor, table: Tensor, seed: int) -> Tensor:
     return key
 
 
-def places_of(position: Tensor, slab: Boxes) -> Places:
-    """Places with tables and objects (B, 3); held objects are not filled in."""
-    table = torch.cat([slab.rotation, slab.centre[..., None]], -1)[:, 0]
-    up = position.new_tensor([0.0, 0.0, GRASP_HEIGHT])
-    turn = torch.eye(3).to(position).expand(len(position), 3, 3)
-    upright = torch.cat([turn, (position + up)[..., None]], -1)
-    size = pad(slab.half[:, 0], (0, 2))
-    return Places(*(each.double() for each in (table, size, upright, upright)))
-
-
 def _search(robot: Robot, position: Tensor, table: Tensor, key: Tensor, ways: _Found) -> None:
     """Fill in the ways of rows, independently of other rows."""
-    slab, body = table_slab(table), robot.body.to(position)
-    places = places_of(position, slab)
+    places = places_of(position, table)
     blocked: list[Grasps] = []
     for which, lines in lines_to_try(robot, position, table, ways.rank):
-        found = grasps(robot, which, lines, slab, body, places)
+        found = grasps(robot, which, lines, places)
         clear = found[found.straight]
         ways.fill(clear[nth_of_each(clear.row) == 0])
         blocked.append(found[~found.straight])

@@ -1,4 +1,4 @@
-"""What postures of arms touch, whether ways are clear, and planned ways, in compiled code.
+"""Whether ways of arms are clear, and planned ways, in compiled code.
 
 `native/tabletop/arms.c` computes it, with frames that pytorch-kinematics reads from the URDF.
 """
@@ -13,13 +13,14 @@ from torch import Tensor
 from cgtorch.ground.errors import RobotError
 from cgtorch.native import agree, required, threads
 from cgtorch.tabletop.kinematics.arm import ArmModel
-from cgtorch.tabletop.kinematics.solids import Boxes, Tensors
+from cgtorch.tabletop.kinematics.solids import Tensors
 
 TABLE, OBJECT, HELD, OWN = range(4)
 """The first solids of a scene: the table, the standing object, and the held object. Those of the
 arm begin at `OWN`, followed by fixed ones."""
-REACH, APPROACH, LIFT, CARRY = 1, 2, 4, 8
-"""Kinds of ways: to the pre-grasp, to the grasp, up with the object, and home with it."""
+REACH, APPROACH, LIFT, CARRY, POSTURE = 1, 2, 4, 8, 16
+"""Kinds of ways: to the pre-grasp, to the grasp, up with the object, and home with it; and postures
+that are clear of table and body only."""
 MARGIN = 0.002  # m that is kept from everything
 RESOLUTION = MARGIN  # m that two solids may come nearer without another look, so that none touch
 COARSE = 0.1  # m: what may come nearer than that is measured in the halves of a way only
@@ -31,9 +32,6 @@ STEP = 0.7
 """The length of a planner's step, by all joints together, rad or m."""
 VIAS = 16
 """The largest number of waypoints on a planned way, including its ends."""
-
-BISECTIONS, ROUNDING = 8, 1e-5  # of the distance between a capsule and a box
-WORTH_SHARING = 512  # postures that are worth one more thread: about a quarter of a millisecond
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,18 +68,6 @@ class Places(Tensors):
     table_size: Tensor
     object: Tensor
     held: Tensor
-
-
-def touches(arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes) -> Tensor:
-    """(B,) bool, whether an arm at q (B, n), rad or m, touches its row's table or the body.
-
-    Tables are (B, N, ...), or one for all (1, N, ...); the body is (N, ...).
-    """
-    hit = torch.empty(len(q), dtype=torch.bool)
-    task = touch_task(arm, q, slab, body, hit)
-    shares = max(1, min(threads(), len(q) // WORTH_SHARING))
-    required(q.dtype).functions["arms_touch"](task, shares)
-    return hit
 
 
 def ways_clear(arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: Tensor) -> Tensor:
@@ -128,22 +114,6 @@ def ways_planned(
     if library.functions["ways_planned"](plans, max(1, min(threads(), len(ends)))):
         raise MemoryError("no memory to plan ways of arms; give the process more")
     return found, count
-
-
-def touch_task(
-    arm: ArmModel, q: Tensor, slab: Boxes, body: Boxes, hit: Tensor | None = None
-) -> Any:
-    """The arguments of `touches`, and its output, for compiled code."""
-    capsules, several = arm.capsules.to(q), required(q.dtype).structures["Boxes"]
-    count = len(capsules.radius)
-    _check_size(arm, q, {"MOST_CAPSULES": count})
-    return required(q.dtype).structures["Arms"](
-        chain=_chain(arm, q), q=q, start=capsules.start, end=capsules.end, radius=capsules.radius,
-        frame=capsules.frame, loose=capsules.joints > SHOULDER_JOINTS, hit=hit,
-        table=several(**vars(slab), count=slab.half.shape[-2], same=len(slab.half) == 1),
-        body=several(**vars(body), count=body.half.shape[-2], same=True),
-        postures=len(q), capsules=count, bisections=BISECTIONS, rounding=ROUNDING,
-    )  # fmt: skip
 
 
 def ways_task(

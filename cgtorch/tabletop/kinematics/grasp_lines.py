@@ -18,7 +18,6 @@ from cgtorch.tabletop.kinematics.clear_ways import (
     REACH,
     Places,
     Scene,
-    touch_task,
     ways_clear,
     ways_task,
 )
@@ -33,7 +32,7 @@ from cgtorch.tabletop.kinematics.grasping import (
 )
 from cgtorch.tabletop.kinematics.inverse_kinematics import PAN_SAMPLES, SphericalArm, form_structure
 from cgtorch.tabletop.kinematics.robot import Robot
-from cgtorch.tabletop.kinematics.solids import Boxes, Tensors
+from cgtorch.tabletop.kinematics.solids import Tensors
 
 LINE = 41
 """Waypoints from the pre-grasp over the grasp to where the object is lifted, 5 mm apart."""
@@ -63,29 +62,25 @@ class Grasps(Tensors):
     held: Tensor
 
 
-def grasps(
-    robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
-) -> Grasps:
+def grasps(robot: Robot, which: int, lines: Lines, places: Places) -> Grasps:
     """The best grasp for each line that an arm can follow: one with a straight way, else the first.
 
-    Tables and places are (B, ...) of objects; `which` is the arm's index.
+    Places are (B, ...) of objects; `which` is the arm's index.
     """
     form = robot.arms[which].closed_form
     if form is None:
-        return grasps_of_any_arm(robot, which, lines, slab, body, places)
-    return _grasps_in_closed_form(form, robot, which, lines, slab, body, places)
+        return grasps_of_any_arm(robot, which, lines, places)
+    return _grasps_in_closed_form(form, robot, which, lines, places)
 
 
-def grasps_of_any_arm(
-    robot: Robot, which: int, lines: Lines, slab: Boxes, body: Boxes, places: Places
-) -> Grasps:
+def grasps_of_any_arm(robot: Robot, which: int, lines: Lines, places: Places) -> Grasps:
     """The same as `grasps` for any arm, with all lines at once, posture after posture."""
     arm, scene, path = robot.arms[which], robot.scenes[which], lines.path
     home = robot.home[which].to(path.device).double()
     solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
     found = [(lines.row[:0], solved[:0], home.new_zeros(0, LINE, len(home)))]
     for part in postures_in_turn(arm, path, solved):
-        near = _near_home(arm, *followed(arm, path, slab[lines.row], body, *part), home)
+        near = _near_home(arm, *followed(robot, which, path, places[lines.row], *part), home)
         every, joints = near
         here = _held(places[lines.row[every]], path[every, 2])
         kept = ways_clear(arm, scene, here, _all(APPROACH, every), joints[:, 2:3])
@@ -154,13 +149,7 @@ def _all(kind: int, like: Tensor) -> Tensor:
 
 
 def _grasps_in_closed_form(
-    form: SphericalArm,
-    robot: Robot,
-    which: int,
-    lines: Lines,
-    slab: Boxes,
-    body: Boxes,
-    places: Places,
+    form: SphericalArm, robot: Robot, which: int, lines: Lines, places: Places
 ) -> Grasps:
     """The same in double precision, with no more postures than needed."""
     arm, scene, library = robot.arms[which], robot.scenes[which], required(torch.float64)
@@ -170,7 +159,6 @@ def _grasps_in_closed_form(
     state = torch.empty(count, dtype=torch.long)
     task = library.structures["Grasps"](
         ways=ways_task(arm, scene, places, lines.row[:0], none),
-        arms=touch_task(arm, none[:, 0], slab.to(like), body.to(like)),
         form=form_structure(form, arm.mount, PAN_SAMPLES), path=lines.path.to(like), home=home,
         at=lines.row, continuous=arm.continuous, line=line, held=held, state=state, lines=count,
         steps=LINE, near=NEAR, tried=TRIED, few=FEW, sparse=SPARSE, most_step=MAX_STEP,

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.arm import ArmModel
-from cgtorch.tabletop.kinematics.clear_ways import touches
+from cgtorch.tabletop.kinematics.clear_ways import POSTURE, Places, ways_clear
 from cgtorch.tabletop.kinematics.robot import Robot
-from cgtorch.tabletop.kinematics.solids import Boxes, Tensors
+from cgtorch.tabletop.kinematics.solids import Tensors
 from cgtorch.tabletop.world.geometry import box_rectangle, rectangles_overlap
 
 GRASP_HEIGHT = 0.05  # m above the table top: the middle of an object 0.10 m high
@@ -71,9 +72,9 @@ def has_posture(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
     none = len(robot.arms) * len(APPROACHES)
     rank = torch.full((len(position),), none, device=position.device)
     for part in zip(*(each.split(CHUNK) for each in (position, table, rank)), strict=True):
-        slab, body = table_slab(part[1]), robot.body.to(position)
+        places = places_of(*part[:2])
         for which, lines in lines_to_try(robot, *part):
-            solved = _has_posture(robot.arms[which], lines.path, slab[lines.row], body)
+            solved = _has_posture(robot, which, lines.path, places[lines.row])
             part[2][lines.row[solved]] = lines.rank[solved]
     return rank < none
 
@@ -116,11 +117,11 @@ def lines_to_try(
         open_rows = open_rows[rank[open_rows] == arms * len(APPROACHES)]
 
 
-def _has_posture(arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes) -> Tensor:
+def _has_posture(robot: Robot, which: int, path: Tensor, places: Places) -> Tensor:
     """(M,) whether an arm can follow waypoints (M, 5, 4, 4) without changing posture."""
-    solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
-    for row, q in postures_in_turn(arm, path, solved):
-        solved[followed(arm, path, slab, body, row, q)[0]] = True
+    solved = torch.zeros(len(path), dtype=torch.bool)
+    for row, q in postures_in_turn(robot.arms[which], path, solved):
+        solved[followed(robot, which, path, places, row, q)[0]] = True
     return solved
 
 
@@ -142,17 +143,22 @@ def postures_in_turn(
 
 
 def followed(
-    arm: ArmModel, path: Tensor, slab: Boxes, body: Boxes, row: Tensor, q: Tensor
+    robot: Robot, which: int, path: Tensor, places: Places, row: Tensor, q: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Rows (K,) and joints (K, 5, n) of the postures q (M, n) that can follow their paths."""
-    free = ~touches(arm, q, slab[row], body)
+    arm, scene = robot.arms[which], robot.scenes[which]
+
+    def clear(row: Tensor, q: Tensor) -> Tensor:
+        return ways_clear(arm, scene, places[row], torch.full_like(row, POSTURE), q[:, None])
+
+    free = clear(row, q)
     row, q = row[free], q[free]
     joints, reached = arm.follow(q, path[row])
     steps = arm.difference(joints[:, 1:], joints[:, :-1]).abs().amax(dim=(1, 2))
     smooth = reached.all(dim=1) & (steps < MAX_STEP)
     row, joints = row[smooth], joints[smooth]
     for step in (0, 4, 1, 3):
-        free = ~touches(arm, joints[:, step], slab[row], body)
+        free = clear(row, joints[:, step])
         row, joints = row[free], joints[free]
     return row, joints
 
@@ -187,16 +193,17 @@ def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float)
     return pose
 
 
-def table_slab(table: Tensor) -> Boxes:
-    """(B, 1, ...) the slabs of tables (B, 6)."""
+def places_of(position: Tensor, table: Tensor) -> Places:
+    """Places with tables (B, 6) and objects (B, 3); held objects are not filled in."""
     cos, sin, zero = table[:, 2].cos(), table[:, 2].sin(), torch.zeros_like(table[:, 2])
-    entries = [cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1]
-    rotation = torch.stack(entries, dim=1).unflatten(1, (3, 3))
-    height = table[:, 5:] - TABLE_THICKNESS / 2
-    thickness = torch.full_like(height, TABLE_THICKNESS)
-    centre = torch.cat([table[:, :2], height], dim=1)
-    half = torch.cat([table[:, 3:5], thickness], dim=1) / 2
-    return Boxes(centre[:, None], rotation[:, None], half[:, None])
+    turn = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1], 1).view(-1, 3, 3)
+    thickness = torch.full_like(table[:, 5:], TABLE_THICKNESS)
+    centre = torch.cat([table[:, :2], table[:, 5:] - TABLE_THICKNESS / 2], 1)
+    size = pad(torch.cat([table[:, 3:5], thickness], 1) / 2, (0, 2))
+    up = position.new_tensor([0.0, 0.0, GRASP_HEIGHT])
+    upright = torch.cat([torch.eye(3).to(turn).expand_as(turn), (position + up)[..., None]], -1)
+    slab = torch.cat([turn, centre[..., None]], -1)
+    return Places(*(each.double() for each in (slab, size, upright, upright)))
 
 
 def within_reach(robot: Robot, position: Tensor) -> Tensor:

@@ -25,12 +25,8 @@ from cgtorch.tabletop.kinematics.inverse_kinematics import spherical_arm
 from cgtorch.tabletop.kinematics.meshes import package_places
 from cgtorch.tabletop.kinematics.scene import home_postures, scene_of
 from cgtorch.tabletop.kinematics.solids import (
-    Boxes,
-    Capsules,
     Solids,
-    box_of,
-    boxes_as_solids,
-    capsules_of,
+    fixed_solids,
     solid_of,
     solid_of_capsule,
     solids_of,
@@ -48,7 +44,7 @@ class Robot:
 
     Attributes:
         arms: In the description's order.
-        body: The boxes that an arm must not touch, in the base frame.
+        body: The solids that an arm must not touch, in the base frame.
         home: (n,) of each arm, the positions of its joints while the robot drives, rad or m.
         meshes: What was fitted to the meshes of its URDF; empty without meshes.
     """
@@ -56,7 +52,7 @@ class Robot:
     description: RobotDescription
     urdf: Urdf
     arms: tuple[ArmModel, ...]
-    body: Boxes
+    body: Solids
     home: tuple[Tensor, ...]
     meshes: tuple[MeshFit, ...] = ()
 
@@ -66,16 +62,15 @@ class Robot:
 
         Many commands read a robot, and few of them plan motions, so it is computed when asked for.
         """
-        torso, none = boxes_as_solids(self.body), boxes_as_solids(self.body[:0])
         at_home = []
         for arm, q in zip(self.arms, self.home, strict=True):
             solids = with_boxed_hand(arm.solids, len(q))
             placed = solids.placed(arm.frames(q[None])[:, 0])
             at_home.append(replace(placed, joints=solids.joints))
         n = len(self.arms)
-        others = [none.joined(*at_home[:i], *at_home[i + 1 :]) for i in range(n)]
+        others = [self.body[:0].joined(*at_home[:i], *at_home[i + 1 :]) for i in range(n)]
         pairs = zip(self.arms, others, strict=True)
-        return tuple(scene_of(arm, torso, each) for arm, each in pairs)
+        return tuple(scene_of(arm, self.body, each) for arm, each in pairs)
 
 
 def load_robot(
@@ -167,7 +162,6 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
         continuous=torch.tensor([joint.type == "continuous" for joint in moving]),
         mount=mount,
         reach=_reach(joints),
-        capsules=_capsules(urdf, words, arm, moving, chain.frame_to_idx),
         solids=_solids(urdf, words, arm, moving, chain.frame_to_idx),
         closed_form=spherical_arm(joints, limits),
         _xml=xml,
@@ -235,32 +229,15 @@ def _fixed_to_base(
             )
 
 
-def _capsules(
-    urdf: Urdf, words: RobotDescription, arm: Arm, moving: list[Any], frame_index: dict[str, int]
-) -> Capsules:
-    """Approximate shapes of every link that the arm's joints move, including fixed fingers."""
-    rows: list[tuple[int, int, Tensor, Tensor, float]] = []
-    for link, pose, carriers in _moved_links(urdf, arm, moving):
-        for start, end, radius in _link_capsules(link, words):
-            start, end = (pose[:3, :3] @ point + pose[:3, 3] for point in (start, end))
-            rows.append((frame_index[carriers[0]], len(carriers), start, end, radius))
-    return Capsules(
-        frame=torch.tensor([row[0] for row in rows], dtype=torch.long),
-        joints=torch.tensor([row[1] for row in rows], dtype=torch.long),
-        start=stacked([row[2] for row in rows], 3),
-        end=stacked([row[3] for row in rows], 3),
-        radius=torch.tensor([row[4] for row in rows], dtype=torch.float64),
-    )
-
-
 def _solids(
     urdf: Urdf, words: RobotDescription, arm: Arm, moving: list[Any], frame_index: dict[str, int]
 ) -> Solids:
-    """The shapes of the URDF for the same links, except those that the description replaces."""
+    """The shapes of every link that the arm's joints move, including fixed fingers."""
     rows = []
     for link, pose, carriers in _moved_links(urdf, arm, moving):
         if link.name in words.capsules:
-            shapes = [solid_of_capsule(*each) for each in _link_capsules(link, words)]
+            given = torch.tensor(words.capsules[link.name], dtype=torch.float64).view(-1, 7)
+            shapes = [solid_of_capsule(row[:3], row[3:6], float(row[6])) for row in given]
         else:
             shapes = [solid_of(each, f"link {link.name!r}") for each in link.collisions]
         for at, size in shapes:
@@ -283,23 +260,14 @@ def _moved_links(
             yield link, _transform(urdf, link.name, carriers[0]), carriers
 
 
-def _link_capsules(link: Any, words: RobotDescription) -> list[tuple[Tensor, Tensor, float]]:
-    if link.name in words.capsules:
-        given = torch.tensor(words.capsules[link.name], dtype=torch.float64).view(-1, 7)
-        return [(row[:3], row[3:6], float(row[6])) for row in given]
-    name = f"link {link.name!r}"
-    return [capsule for each in link.collisions for capsule in capsules_of(each, name)]
-
-
-def _body(urdf: Urdf, words: RobotDescription, arm_joints: set[str]) -> Boxes:
-    """The boxes around the links that an arm must not touch, in the base frame."""
-    poses, halves = [], []
+def _body(urdf: Urdf, words: RobotDescription, arm_joints: set[str]) -> Solids:
+    """The shapes of links that an arm must not touch, in the base frame."""
+    poses, sizes = [], []
     for name in words.body:
         _fixed_to_base(urdf, words, name, arm_joints, "body")
         link = _transform(urdf, name, words.base_frame)
         for collision in urdf.link(name).collisions:
-            pose, half = box_of(collision, f"link {name!r}")
-            poses.append(link @ pose)
-            halves.append(half)
-    pose = stacked(poses, 4, 4)
-    return Boxes(pose[:, :3, 3], pose[:, :3, :3], stacked(halves, 3))
+            pose, size = solid_of(collision, f"link {name!r}")
+            poses.append((link @ pose)[:3])
+            sizes.append(size)
+    return fixed_solids(stacked(poses, 3, 4), stacked(sizes, 5))

@@ -17,6 +17,7 @@ from cgtorch.tabletop.kinematics.clear_ways import (
     MARGIN,
     OBJECT,
     OWN,
+    POSTURE,
     REACH,
     SHOULDER_JOINTS,
     TABLE,
@@ -24,7 +25,7 @@ from cgtorch.tabletop.kinematics.clear_ways import (
     Scene,
     ways_clear,
 )
-from cgtorch.tabletop.kinematics.solids import Boxes, Solids, boxes_as_solids
+from cgtorch.tabletop.kinematics.solids import Solids
 
 ALWAYS = REACH | APPROACH | LIFT | CARRY
 OBJECT_RADIUS, OBJECT_HALF = 0.025, 0.05  # m, of the upright cylinder that an object is taken for
@@ -76,11 +77,11 @@ def _pairs(own: list[int], body: int, others: list[int], n: int) -> Tensor:
     pairs = [(HELD, TABLE, CARRY), *((HELD, k, LIFT | CARRY) for k in (*torso, *beside))]
     for i, joints in arm.items():
         loose = joints > SHOULDER_JOINTS
-        pairs.append((i, TABLE, ALWAYS))
+        pairs.append((i, TABLE, ALWAYS | POSTURE))
         pairs.append((i, OBJECT, REACH if joints == n else REACH | APPROACH))
         if joints < n:
             pairs.append((HELD, i, LIFT | CARRY))
-        pairs.extend((i, k, ALWAYS) for k in torso if loose)
+        pairs.extend((i, k, ALWAYS | POSTURE) for k in torso if loose)
         pairs.extend((i, k, ALWAYS) for k, far in beside.items() if loose or far > SHOULDER_JOINTS)
     pairs.extend((i, k, ALWAYS) for i, k in itertools.permutations(arm, 2) if arm[i] > arm[k] + 1)
     return torch.tensor(pairs)
@@ -164,7 +165,7 @@ def _corners(solids: Solids, which: int) -> Tensor:
 
 def home_postures(
     arms: tuple[ArmModel, ...],
-    body: Boxes,
+    body: Solids,
     footprint: tuple[float, float, float, float],
     named: Mapping[str, float],
 ) -> tuple[Tensor, ...]:
@@ -180,28 +181,29 @@ def _named(arm: ArmModel, named: Mapping[str, float]) -> Tensor:
     return torch.tensor(given, dtype=arm.lower.dtype)
 
 
-def _computed(arm: ArmModel, body: Boxes, footprint: tuple[float, float, float, float]) -> Tensor:
+def _computed(arm: ArmModel, body: Solids, footprint: tuple[float, float, float, float]) -> Tensor:
     """The best of many random postures: raised, near the body, and clear of it.
 
     A hand below the height of tables would first have to come up past their edges.
     """
     q = random_postures(arm, SAMPLES)
     frames = arm.frames(q)
-    start, end = arm.capsules.to(q).placed(frames)
-    points, radius = torch.cat([start, end], 1), arm.capsules.radius.repeat(2)
+    ends, radius = arm.solids.capsules()
+    carrier = frames[arm.solids.frame.repeat(2)].transpose(0, 1)
+    points = (carrier[..., :3, :3] @ ends[..., None]).squeeze(-1) + carrier[..., :3, 3]
     x_min, x_max, y_min, y_max = footprint
     corner = points.new_tensor([[x_max, y_max], [x_min, y_min]])
     beyond = torch.maximum(points[..., :2] - corner[0], corner[1] - points[..., :2])
     beyond = (beyond.amax(-1) + radius).clamp_min(0)
     below = (ABOVE + radius - points[..., 2]).clamp_min(0)
     under = torch.minimum(beyond, below).amax(1)
-    hand = arm.capsules.joints.repeat(2) > len(arm.lower) / 2
+    hand = arm.solids.joints.repeat(2) > len(arm.lower) / 2
     shoulder = float(frames[1, 0, 1, 3])  # y of the first joint; an arm may hang from the middle
     side = math.copysign(1.0, shoulder) if abs(shoulder) > CENTRE else 0
     crossed = (radius - side * points[..., 1]).clamp_min(0).amax(1) if side else 0.0
     cost = beyond.amax(1) + below[:, hand].amax(1) + BELOW_COSTS * (under + crossed)
     best = q[cost.argsort()[:TRIED]]
-    scene = scene_of(arm, boxes_as_solids(body), boxes_as_solids(body[:0]))
+    scene = scene_of(arm, body, body[:0])
     robot = (scene.pairs[:, :2] >= OWN).all(1)
     alone = replace(scene, pairs=scene.pairs[robot], reach=scene.reach[robot])
     kind = torch.full((len(best),), REACH)

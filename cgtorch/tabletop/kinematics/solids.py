@@ -1,6 +1,5 @@
-"""Collision shapes of links: capsules, oriented boxes, and solids, which have exact cylinders."""
+"""Solids that links collide as: sums of a box, a disc and a ball, which are cylinders exactly."""
 
-import math
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -9,8 +8,6 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from cgtorch.ground.errors import RobotError
-
-MAX_FLATNESS = 500  # of a box: beyond it would be too many capsules
 
 
 class Tensors:
@@ -28,40 +25,6 @@ class Tensors:
     def __getitem__(self, rows: Tensor | slice | None) -> Self:
         """Some rows of all fields, or with None all as one row."""
         return type(self)(*(each[rows] for each in vars(self).values()))
-
-
-@dataclass(frozen=True)
-class Boxes(Tensors):
-    """Oriented boxes: centres (..., N, 3), axes as columns (..., N, 3, 3), half sizes, m."""
-
-    centre: Tensor
-    rotation: Tensor
-    half: Tensor
-
-
-@dataclass(frozen=True)
-class Capsules(Tensors):
-    """Capsules that move with the frames of an arm.
-
-    Attributes:
-        frame: (C,) the frame of the chain with which each moves.
-        joints: (C,) the number of the arm's joints that move it.
-        start, end: (C, 3) the ends of its axis in that frame, m.
-        radius: (C,) in m.
-    """
-
-    frame: Tensor
-    joints: Tensor
-    start: Tensor
-    end: Tensor
-    radius: Tensor
-
-    def placed(self, frames: Tensor) -> tuple[Tensor, Tensor]:
-        """Starts and ends (B, C, 3) of the axes for frames with poses (F, B, 4, 4), m."""
-        pose = frames[self.frame].transpose(0, 1)
-        rotation, shift = pose[..., :3, :3], pose[..., :3, 3]
-        start, end = (rotation @ point[:, :, None] for point in (self.start, self.end))
-        return start.squeeze(-1) + shift, end.squeeze(-1) + shift
 
 
 @dataclass(frozen=True)
@@ -97,6 +60,15 @@ class Solids(Tensors):
         pose = frames[self.frame, :3, :3] @ self.pose
         pose[..., 3] += frames[self.frame, :3, 3]
         return fixed_solids(pose, self.size)
+
+    def capsules(self) -> tuple[Tensor, Tensor]:
+        """Both ends of axes (2S, 3) and radii (2S,) of capsules around the solids, m."""
+        half, rows = self.size[:, :3], torch.arange(len(self))
+        long = half.argmax(1)
+        along = self.pose[rows, :, long] * half[rows, long, None]
+        radius = half.scatter(1, long[:, None], 0.0).norm(dim=1) + self.size[:, 3:].sum(1)
+        middle = self.pose[..., 3]
+        return torch.cat([middle - along, middle + along]), radius.repeat(2)
 
     def joined(self, *more: "Solids") -> "Solids":
         """All of them, one after the other."""
@@ -141,22 +113,20 @@ def fixed_solids(pose: Tensor, size: Tensor) -> Solids:
     return Solids(pose, size, still, torch.zeros_like(still))
 
 
-def boxes_as_solids(boxes: Boxes) -> Solids:
-    """Fixed boxes (N, ...) as solids."""
-    pose = torch.cat([boxes.rotation, boxes.centre[..., None]], -1)
-    return fixed_solids(pose, pad(boxes.half, (0, 2)))
-
-
 def solid_of(collision: Any, where: str) -> tuple[Tensor, Tensor]:
-    """Pose (4, 4) and size (5,) of a URDF collision element; for errors see `capsules_of`."""
-    kind, sizes = shape_of(collision, where)
+    """Pose (4, 4) and size (5,) of a URDF collision element.
+
+    RobotError if the element, called `where`, is a mesh or has an impossible size.
+    """
+    kind, sizes = _shape_of(collision, where)
     if kind == "sphere":
         size = [0.0, 0.0, 0.0, 0.0, sizes[0]]
     elif kind == "cylinder":
         size = [0.0, 0.0, sizes[1] / 2, sizes[0], 0.0]
     else:
         size = [*(side / 2 for side in sizes), 0.0, 0.0]
-    return pose_of(collision), torch.tensor(size, dtype=torch.float64)
+    origin = torch.eye(4).tolist() if collision.origin is None else collision.origin
+    return torch.as_tensor(origin, dtype=torch.float64), torch.tensor(size, dtype=torch.float64)
 
 
 def solid_of_capsule(start: Tensor, end: Tensor, radius: float) -> tuple[Tensor, Tensor]:
@@ -174,65 +144,7 @@ def solid_of_capsule(start: Tensor, end: Tensor, radius: float) -> tuple[Tensor,
     return pose, torch.tensor([0.0, 0.0, length / 2, 0.0, radius], dtype=torch.float64)
 
 
-def capsules_of(collision: Any, where: str) -> list[tuple[Tensor, Tensor, float]]:
-    """A URDF collision element as capsules (start (3,), end (3,), radius), m, in its link's frame.
-
-    A cylinder becomes the capsule of the same radius and overall length. A bar-shaped box becomes
-    one capsule along its longest side. A flatter box becomes parallel capsules side by side, as
-    thick as its shortest side. RobotError if the element, called `where`, is a mesh or has an
-    impossible size.
-    """
-    kind, sizes = shape_of(collision, where)
-    ends, radius = [([0.0] * 3, [0.0] * 3)], sizes[0]
-    if kind == "cylinder":
-        along = max(sizes[1] / 2 - radius, 0.0)
-        ends = [([0.0, 0.0, -along], [0.0, 0.0, along])]
-    elif kind == "box":
-        ends, radius = _box_capsules(sizes, where)
-    pose, both = pose_of(collision), torch.tensor(ends, dtype=torch.float64)
-    placed = (pose[:3, :3] @ both[..., None]).squeeze(-1) + pose[:3, 3]
-    return [(start, end, radius) for start, end in placed]
-
-
-def _box_capsules(sizes: list[float], where: str) -> tuple[list[Any], float]:
-    """Ends of the capsules that fill a box, and their radius."""
-    half = [size / 2 for size in sizes]
-    thin, middle, long = sorted(range(3), key=lambda i: half[i])
-    bar = half[middle] <= 1.5 * half[thin]
-    radius = half[middle] if bar else half[thin]
-    if half[middle] > MAX_FLATNESS * radius:
-        raise RobotError(
-            f"{where} has a box of {sizes} m, which is too flat: give it sides above 0 and some "
-            "thickness"
-        )
-    room = half[middle] - radius
-    gaps = 0 if bar else math.ceil(room / radius)
-    ends = []
-    for aside in (room * (2 * i / gaps - 1) if gaps else 0.0 for i in range(gaps + 1)):
-        start, end = [0.0] * 3, [0.0] * 3
-        start[long], end[long] = radius - half[long], half[long] - radius
-        start[middle] = end[middle] = aside
-        ends.append((start, end))
-    return ends, radius
-
-
-def box_of(collision: Any, where: str) -> tuple[Tensor, Tensor]:
-    """Pose (4, 4) and half sizes (3,), m, of the box around an element; see `capsules_of`."""
-    kind, sizes = shape_of(collision, where)
-    if kind == "sphere":
-        sizes = [2 * sizes[0]] * 3
-    elif kind == "cylinder":
-        sizes = [2 * sizes[0], 2 * sizes[0], sizes[1]]
-    return pose_of(collision), torch.tensor(sizes, dtype=torch.float64) / 2
-
-
-def pose_of(collision: Any) -> Tensor:
-    """(4, 4) pose of a collision element in its link's frame."""
-    origin = torch.eye(4).tolist() if collision.origin is None else collision.origin
-    return torch.as_tensor(origin, dtype=torch.float64)
-
-
-def shape_of(collision: Any, where: str) -> tuple[str, list[float]]:
+def _shape_of(collision: Any, where: str) -> tuple[str, list[float]]:
     """The kind of a collision element, and its radius, its radius and length, or its sides, m."""
     shape = collision.geometry
     if shape.sphere is not None:
@@ -246,6 +158,6 @@ def shape_of(collision: Any, where: str) -> tuple[str, list[float]]:
             f"{where} collides as a mesh, which is not read: give boxes, cylinders or spheres in "
             "the URDF, or its capsules in the robot description"
         )
-    if min(sizes) < 0:
+    if min(sizes) < 0 or (kind == "box" and min(sizes) == 0):
         raise RobotError(f"{where} collides as a shape of size {min(sizes)} m: give it some size")
     return kind, [float(size) for size in sizes]

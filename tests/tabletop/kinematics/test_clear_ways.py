@@ -1,6 +1,8 @@
 """Ways that are clear, against another distance of the solids, and planned where they are not."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -10,7 +12,7 @@ from cgtorch import native
 from cgtorch.ground.errors import CompilerError, RobotError
 from cgtorch.native import library
 from cgtorch.tabletop.kinematics import arm_ways, graspable, has_posture
-from cgtorch.tabletop.kinematics.arm_way import places_of, row_keys
+from cgtorch.tabletop.kinematics.arm_way import row_keys
 from cgtorch.tabletop.kinematics.clear_ways import (
     APPROACH,
     CARRY,
@@ -19,17 +21,20 @@ from cgtorch.tabletop.kinematics.clear_ways import (
     MARGIN,
     OBJECT,
     OWN,
+    POSTURE,
     REACH,
     TABLE,
     VIAS,
     ways_clear,
     ways_planned,
 )
-from cgtorch.tabletop.kinematics.grasping import table_slab
-from cgtorch.tabletop.kinematics.solids import fixed_solids
+from cgtorch.tabletop.kinematics.grasping import places_of
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))
+
+from benchmarks.touching import NEAR, gaps
 
 ROWS = 60
-NEAR = 0.03  # m
 
 
 def asked(robot, arm, random_joints, generator, rows=ROWS, joints=3):
@@ -41,48 +46,8 @@ def asked(robot, arm, random_joints, generator, rows=ROWS, joints=3):
     ways = torch.cat([middle, middle + 0.3 * (q[:, 1:] - middle)], 1)
     turn = torch.linalg.qr(torch.randn(rows, 3, 3, generator=generator, dtype=torch.float64))[0]
     held = torch.nn.functional.pad(turn * turn.det()[:, None, None], (0, 1))
-    places = replace(places_of(position, table_slab(table)), held=held)
+    places = replace(places_of(position, table), held=held)
     return arm, robot.scenes[which], places, torch.full((rows,), REACH), ways
-
-
-def farthest(pose, size, way):
-    """(M, 3) the points of solids (M, 3, 4), (M, 5) without their balls farthest in directions."""
-    local = (way[:, None] @ pose[..., :3]).squeeze(1)
-    at = torch.where(local < 0, -size[:, :3], size[:, :3])
-    flat = local[:, :2] / local[:, :2].norm(dim=1, keepdim=True).clamp_min(1e-30)
-    at = at + torch.nn.functional.pad(size[:, 3:4] * flat, (0, 1))
-    return (pose[..., :3] @ at[..., None]).squeeze(-1) + pose[..., 3]
-
-
-def bounds(a, size, b, other):
-    """Bounds (M,) of distances by Gilbert's iteration (1966), without any simplex, m."""
-    balls, away = size[:, 4] + other[:, 4], a[..., 3] - b[..., 3]
-    least = torch.full_like(balls, -torch.inf)
-    for _ in range(60):
-        new = farthest(a, size, -away) - farthest(b, other, away)
-        length, step = away.norm(dim=1).clamp_min(1e-12), away - new
-        least = torch.maximum(least, (away * new).sum(1) / length)
-        share = (away * step).sum(1) / step.square().sum(1).clamp_min(1e-30)
-        away = away - share.clamp(0, 1)[:, None] * step
-    return least - balls, away.norm(dim=1) - balls
-
-
-def gaps(arm, scene, places, q):
-    """Bounds of the distances of pairs (B, P) in postures (B, n), infinite if it is large, m."""
-    pose, size = scene.pose.repeat(len(q), 1, 1, 1), scene.size.repeat(len(q), 1, 1)
-    pose[:, TABLE], pose[:, OBJECT], pose[:, HELD] = places.table, places.object, places.held
-    size[:, TABLE] = places.table_size
-    moves = (scene.frame >= 0).nonzero()[:, 0]
-    carrier = arm.frames(q)[scene.frame[moves]].transpose(0, 1)
-    moved = carrier[..., :3, :3] @ pose[:, moves]
-    pose[:, moves] = moved + torch.nn.functional.pad(carrier[..., :3, 3:], (3, 0))
-    radius = fixed_solids(pose.flatten(0, 1), size.flatten(0, 1)).radius.view(len(q), -1)
-    a, b = scene.pairs[:, :2].unbind(1)
-    away = (pose[:, a, :, 3] - pose[:, b, :, 3]).norm(dim=-1) - radius[:, a] - radius[:, b]
-    row, pair = (away < NEAR).nonzero(as_tuple=True)
-    a, b = a[pair], b[pair]
-    found = bounds(pose[row, a], size[row, a], pose[row, b], size[row, b])
-    return [torch.full_like(away, torch.inf).index_put((row, pair), each) for each in found]
 
 
 def test_ways_are_clear_where_nothing_is_near_on_them(robot_and_arm, random_joints, generator):
@@ -92,9 +57,9 @@ def test_ways_are_clear_where_nothing_is_near_on_them(robot_and_arm, random_join
     for share in torch.linspace(0, 1, 21).tolist():
         for a, b in ((0, 1), (1, 2)):
             q = ways[:, a] + share * (ways[:, b] - ways[:, a])
-            lower, upper = gaps(arm, scene, places, q)
+            lower, upper = gaps(arm, scene, places, q, -1)
             low, high = low.minimum(lower), high.minimum(upper)
-    for one in (REACH, APPROACH, LIFT, CARRY):
+    for one in (REACH, APPROACH, LIFT, CARRY, POSTURE):
         clear = ways_clear(arm, scene, places, torch.full_like(kind, one), ways)
         assert 0.02 < clear.double().mean() < 0.98
         asked_for = scene.pairs[:, 2] & one > 0

@@ -8,9 +8,8 @@ from test_grasping import random_scene
 
 from cgtorch import native
 from cgtorch.tabletop.kinematics import grasp_lines
-from cgtorch.tabletop.kinematics.arm_way import places_of
 from cgtorch.tabletop.kinematics.grasp_lines import HALF, grasps, grasps_of_any_arm
-from cgtorch.tabletop.kinematics.grasping import APPROACHES, Lines, table_slab, waypoints
+from cgtorch.tabletop.kinematics.grasping import APPROACHES, Lines, places_of, waypoints
 
 OBJECTS = 150
 TRIED = [0, 1, 2, 3, 9, 13, 14, 15, 20]
@@ -22,9 +21,8 @@ def asked(robot, which, dtype=torch.float64, seed=7):
     approach = torch.tensor(APPROACHES)[TRIED].to(position)
     row = torch.arange(OBJECTS).repeat_interleave(len(approach))
     path = waypoints(position[row], *approach.repeat(OBJECTS, 1).unbind(1))
-    slab = table_slab(table)
     lines = Lines(path, row, torch.arange(len(row)))
-    return robot, which, lines, slab, robot.body.to(position), places_of(position, slab)
+    return robot, which, lines, places_of(position, table)
 
 
 @pytest.fixture
@@ -57,14 +55,14 @@ def test_some_grasps_cannot_be_reached_straight(pr2):
 
 
 def test_grasps_do_not_depend_on_threads_or_on_other_lines(question):
-    robot, which, lines, *rest = question
+    robot, which, lines, places = question
     whole = grasps(*question)
     native.use_threads(3)
     shared = grasps(*question)
     native.use_threads(0)
     assert all(map(torch.equal, vars(whole).values(), vars(shared).values()))
     few = torch.arange(len(lines.row)) % 3 == 0
-    alone = grasps(robot, which, lines[few], *rest)
+    alone = grasps(robot, which, lines[few], places)
     same = few[whole.rank]
     assert all(map(torch.equal, vars(whole[same]).values(), vars(alone).values()))
 
@@ -77,12 +75,12 @@ def test_single_precision_makes_hardly_a_difference(pr2):
 
 def test_an_arm_without_a_closed_form_is_searched_numerically(pr2):
     arms = tuple(replace(arm, closed_form=None) for arm in pr2.arms)
-    robot, which, lines, *rest = asked(pr2, 0)
-    found = grasps(replace(robot, arms=arms), which, lines[torch.arange(4)], *rest)
+    robot, which, lines, places = asked(pr2, 0)
+    found = grasps(replace(robot, arms=arms), which, lines[torch.arange(4)], places)
     assert found.line.shape[1:] == (2 * HALF + 1, 7)
 
 
 def test_no_lines(pr2):
-    robot, which, lines, *rest = asked(pr2, 0)
-    assert grasps(robot, which, lines[:0], *rest).row.shape == (0,)
-    assert grasps_of_any_arm(robot, which, lines[:0], *rest).row.shape == (0,)
+    robot, which, lines, places = asked(pr2, 0)
+    assert grasps(robot, which, lines[:0], places).row.shape == (0,)
+    assert grasps_of_any_arm(robot, which, lines[:0], places).row.shape == (0,)

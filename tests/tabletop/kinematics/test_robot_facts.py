@@ -230,8 +230,9 @@ def test_overall_size(fetch, name):
 def test_the_footprint_bounds_all_that_stands_still(fetch):
     x_min, x_max, y_min, y_max = fetch.description.footprint
     body = fetch.body
-    assert torch.equal(body.rotation, torch.eye(3, dtype=torch.float64).expand_as(body.rotation))
-    low, high = (body.centre - body.half).amin(0), (body.centre + body.half).amax(0)
+    turn, centre, half = body.pose[..., :3], body.pose[..., 3], body.size[:, :3]
+    assert torch.equal(turn, torch.eye(3, dtype=torch.float64).expand_as(turn))
+    low, high = (centre - half).amin(0), (centre + half).amax(0)
     torch.testing.assert_close(low[:2], torch.tensor([x_min, y_min], dtype=torch.float64))
     torch.testing.assert_close(high[:2], torch.tensor([x_max, y_max], dtype=torch.float64))
 

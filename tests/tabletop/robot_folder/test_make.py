@@ -68,8 +68,8 @@ def test_a_run_carries_the_robot_without_the_meshes(urdf, tmp_path, monkeypatch)
     shutil.rmtree(tmp_path / "ws")
     again = Tabletop.read(settings, tmp_path / "run").robot
     assert again.meshes == ()
-    for name in ("start", "end", "radius", "frame"):
-        mine, other = (getattr(r.arms[0].capsules, name) for r in (domain.robot, again))
+    for name in ("pose", "size", "frame"):
+        mine, other = (getattr(r.arms[0].solids, name) for r in (domain.robot, again))
         torch.testing.assert_close(mine, other, rtol=0, atol=0)
     with pytest.raises(RobotError, match=r"which is missing: the package 'mesh_robot' is in none"):
         Tabletop(settings)
