@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.models import Models
-from cgtorch.evolution import EvolutionSettings
+from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import (
     NO_NODE,
@@ -248,6 +248,11 @@ def all_valid(graphs: Graphs, actions: ActionSet, connected: bool = True) -> boo
 def same_nodes(first: Graphs, second: Graphs) -> bool:
     """Whether graphs have the same nodes in the same order, in whatever slots."""
     return same(trimmed(first), trimmed(second))
+
+
+def same_individuals(first: Population, second: Population) -> bool:
+    """Whether populations have the same graphs, but for unused slots, and strategies."""
+    return same_nodes(first.graphs, second.graphs) and torch.equal(first.strategy, second.strategy)
 
 
 def same(first: Graphs, second: Graphs) -> bool:

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 import torch
-from support import seeded
+from support import same, same_individuals, seeded
 from torch import Tensor
 
-from cgtorch.evolution import EvolutionSettings, Population, ask, initial_state, tell
+from cgtorch.evolution import EvolutionSettings, ask, initial_state, tell
 from cgtorch.evolution.ask_and_tell import Search
 from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import DataError, RunError, SettingsError
@@ -22,11 +22,6 @@ def worth(graphs: Graphs) -> Tensor:
     return graphs.num_nodes - (graphs.parameters - 1).abs().flatten(1).mean(1)
 
 
-def same(one: Population, other: Population) -> bool:
-    pairs = zip(vars(one.graphs).values(), vars(other.graphs).values(), strict=True)
-    return all(torch.equal(a, b) for a, b in pairs) and torch.equal(one.strategy, other.strategy)
-
-
 @pytest.mark.parametrize("more", [{}, {"lineages": 2}, {"elite": 3}])
 def test_it_is_the_search_of_the_functions(more: dict[str, Any]) -> None:
     search = Search(ACTIONS, seed=4, population=20, **more)
@@ -36,10 +31,7 @@ def test_it_is_the_search_of_the_functions(more: dict[str, Any]) -> None:
     for number in range(6):
         assert search.generation == state.generation == number
         graphs = search.ask()
-        assert all(
-            torch.equal(a, b)
-            for a, b in zip(vars(graphs).values(), vars(ask(state).graphs).values(), strict=True)
-        )
+        assert same(graphs, ask(state).graphs)
         fitness = worth(graphs)
         search.tell(fitness.tolist())
         state = tell(state, fitness, settings, ACTIONS, generator)
@@ -60,13 +52,13 @@ def test_on_disk_and_back_it_goes_on_with_the_same_bits(
     search.save(tmp_path / "search.safetensors")
     again = Search.load(tmp_path / "search.safetensors", ACTIONS, **about)
     assert (again.generation, again.best_fitness) == (search.generation, search.best_fitness)
-    assert same(again.best, search.best)
+    assert same_individuals(again.best, search.best)
     for _ in range(4):
         fitness = worth(search.ask())
         assert torch.equal(fitness, worth(again.ask()))
         search.tell(fitness)
         again.tell(fitness)
-    assert same(again.best, search.best)
+    assert same_individuals(again.best, search.best)
 
 
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:

@@ -87,16 +87,6 @@ def test_what_is_not_finite_is_worth_the_least() -> None:
     assert torch.equal(found.scores[rest], usual.scores[rest])
 
 
-def test_how_many_are_run_at_once_changes_nothing() -> None:
-    graphs, place = random_graphs(3, 40, ACTIONS), path(3, 5)
-    whole, parts = (
-        evaluator(ACTIONS, place, NOTHING, most_lanes=n, fitness=episode_return)(graphs)
-        for n in (2**16, 35)
-    )
-    assert torch.equal(whole.scores, parts.scores)
-    assert torch.equal(whole.fitness, parts.fitness)
-
-
 def test_returns_need_an_environment_that_gives_them() -> None:
     graphs = random_graphs(0, 3, ACTIONS)
     with pytest.raises(SettingsError, match="but the environment gives no rewards"):

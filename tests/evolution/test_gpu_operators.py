@@ -8,20 +8,22 @@ import torch
 from emulated_gpu import EmulatedGpu, OnGpu, launchers
 from pretended_gpu import GPU, pretended_gpu
 from random_models import models_as, random_models
-from support import nested_actions, seeded
+from support import nested_actions, same_individuals, seeded
 from torch import Generator, Tensor
 
-from cgtorch.evolution import EvolutionSettings, compiled, evolve
+from cgtorch.evolution import EvolutionSettings, chance_of_success, compiled, evolve
 from cgtorch.evolution.compiled import lexicase as lexicase_in_c
+from cgtorch.evolution.fitness import Fitness
 from cgtorch.evolution.operators import breed, with_new_origins
 from cgtorch.evolution.population import Population, random_population
 from cgtorch.evolution.selection import deviation, lexicase, tournament
 from cgtorch.graphs import ActionSet, ContinuousNN
 from cgtorch.ground.counter_rng import shuffled
+from cgtorch.improvement.specialists import shrunk
 from cgtorch.native import available
 from cgtorch.native import gpu as native_gpu
 from cgtorch.native.gpu import Gpu
-from cgtorch.simulation import ModelEnvironment
+from cgtorch.simulation import ModelEnvironment, Rollouts
 from cgtorch.tabletop.actions import paper_actions
 
 pytestmark = pytest.mark.skipif(
@@ -29,6 +31,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 PAPER = paper_actions()
+NESTED = nested_actions(2, PAPER)
 
 
 class Wide(ContinuousNN):
@@ -47,12 +50,6 @@ def device_name(launcher: Gpu) -> str:
 
 def population_of(seed: int, actions: ActionSet, size: int = 60) -> Population:
     return random_population(size, actions, 12, (2, 9), seeded(seed))
-
-
-def assert_equal(found: Population, wanted: Population) -> None:
-    for name, tensor in vars(wanted.graphs).items():
-        assert torch.equal(getattr(found.graphs, name), tensor), name
-    assert torch.equal(found.strategy, wanted.strategy)
 
 
 @pytest.mark.parametrize("launcher", launchers(), ids=device_name)
@@ -141,11 +138,10 @@ def test_groups_have_the_same_parents() -> None:
 
 
 @pytest.mark.usefixtures("everything_on_gpu")
-@pytest.mark.parametrize("actions", [OWN, nested_actions(2, PAPER)])
-@pytest.mark.parametrize("selection", [lexicase, tournament()])
+@pytest.mark.parametrize(("actions", "selection"), [(OWN, tournament()), (NESTED, lexicase)])
 def test_whole_evolutions_are_the_same(actions: ActionSet, selection: object) -> None:
     environment = models_as(random_models(3, 7), torch.float32)
-    settings = EvolutionSettings(population=80, selection=selection, islands=2, migration=2)
+    settings = EvolutionSettings(population=40, selection=selection, islands=2, migration=2)
     keep = torch.arange(7) < 1
 
     def evolved(where: ModelEnvironment, kept: Tensor) -> list[Population]:
@@ -164,11 +160,11 @@ def test_whole_evolutions_are_the_same(actions: ActionSet, selection: object) ->
         there = evolved(models_as(environment, torch.float32, GPU), keep.to(GPU))
     assert counts[:5] == counts[5:]
     for one, other in zip(there, wanted, strict=True):
-        assert_equal(one, other)
+        assert same_individuals(one, other)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
-@pytest.mark.parametrize("actions", [OWN, nested_actions(2, PAPER)])
+@pytest.mark.parametrize("actions", [OWN, NESTED])
 def test_whole_evolutions_on_this_machines_gpu_are_those_of_the_cpu(actions: ActionSet) -> None:
     environment = models_as(random_models(3, 7), torch.float32)
     settings, keep = EvolutionSettings(population=3000), torch.arange(7) < 1
@@ -182,5 +178,40 @@ def test_whole_evolutions_on_this_machines_gpu_are_those_of_the_cpu(actions: Act
         6,
     ):
         assert one.population.strategy.is_cuda
-        assert_equal(one.population.to("cpu"), other.population)
+        assert same_individuals(one.population.to("cpu"), other.population)
         assert one.best == other.best
+
+
+def hurried(runs: Rollouts, chance: Tensor) -> Tensor:
+    return chance / (1 + runs.transitions / 100)
+
+
+def shrunk_champion(
+    environment: ModelEnvironment, actions: ActionSet, fitness: Fitness, keep: Tensor
+) -> tuple[list[Tensor], list[float]]:
+    """A champion, shrunk, and the best fitness of each of two generations."""
+    settings = EvolutionSettings(population=30, fitness=fitness)
+    found = evolve(environment, actions, settings, seeded(0), keep=keep)
+    generations = list(islice(found, 2))
+    last = generations[-1].champion
+    small = shrunk(last, actions, environment, 20, fitness, keep.device)
+    assert small.graphs.start.is_cpu  # evolution itself is on the CPU
+    return [*vars(small.graphs).values()], [g.best for g in generations]
+
+
+@pytest.mark.parametrize(
+    ("actions", "fitness", "kept"),
+    [(PAPER, hurried, 1), (NESTED, chance_of_success, 0)],
+)
+def test_evolutions_by_rollouts_in_torch_are_the_same(
+    actions: ActionSet, fitness: Fitness, kept: int
+) -> None:
+    environment = models_as(random_models(3, 3), torch.float32)
+    keep = torch.arange(3) < kept
+    with pretended_gpu():
+        elsewhere = models_as(environment, torch.float32, GPU)
+        found, best = shrunk_champion(elsewhere, actions, fitness, keep.to(GPU))
+    wanted, wanted_best = shrunk_champion(environment, actions, fitness, keep)
+    assert best == pytest.approx(wanted_best, rel=1e-5)  # on the CPU Γ and C are compiled
+    assert max(best) > 0 or kept
+    assert all(torch.equal(a, b) for a, b in zip(found, wanted, strict=True))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from support import custom_actions, model, same, seeded
+from support import custom_actions, model, seeded
 from torch import Tensor
 
 from cgtorch.evolution import (
@@ -115,7 +115,7 @@ def test_random_populations_and_children_take_turns_and_nothing_good_is_lost() -
     generator = seeded(9)
     state = initial_state(SETTINGS, ACTIONS, generator)
     turns, best = [], -1e9
-    for _ in range(1200):
+    for _ in range(500):
         fitness = fitness_of(state)
         if not state.lineages:
             turns.append((state.distinct_parents > 0, len(fitness)))
@@ -129,7 +129,7 @@ def test_random_populations_and_children_take_turns_and_nothing_good_is_lost() -
     assert [is_bred for is_bred, _ in turns][:3] == [False, False, True]
 
 
-@pytest.mark.parametrize("cut", [0, 1, 4, 8, 30])
+@pytest.mark.parametrize("cut", [0, 4, 30])
 def test_a_search_goes_on_from_a_checkpoint_with_the_same_bits(cut: int, tmp_path: Path) -> None:
     def following(search: object, count: int) -> list[Tensor]:
         return [next(search).population.graphs.parameters for _ in range(count)]  # type: ignore[call-overload]
@@ -149,14 +149,6 @@ def test_a_search_goes_on_from_a_checkpoint_with_the_same_bits(cut: int, tmp_pat
     islands = islands_from(checkpoint, ACTIONS, other, 1)
     again = evolve(environment, ACTIONS, SETTINGS, other, islands=islands)
     assert all(torch.equal(one, two) for one, two in zip(wanted, following(again, 7), strict=True))
-
-
-def test_the_same_seed_gives_the_same_search() -> None:
-    runs = []
-    for _ in range(2):
-        search = evolve(model(0, 3), ACTIONS, SETTINGS, seeded(12))
-        runs.append([next(search).champion.graphs for _ in range(12)])
-    assert all(same(one, two) for one, two in zip(*runs, strict=True))
 
 
 def test_each_generation_can_have_an_environment_of_its_own() -> None:

@@ -13,7 +13,6 @@ from cgtorch.evolution import (
     EvolutionSettings,
     Population,
     chance_of_success,
-    evaluator,
     evolve,
     initial_state,
     lexicase,
@@ -21,7 +20,7 @@ from cgtorch.evolution import (
     tell,
 )
 from cgtorch.evolution.operators import crossover
-from cgtorch.evolution.population import random_graphs, random_population
+from cgtorch.evolution.population import random_graphs
 from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned, widened
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import Rollouts, rollout
@@ -33,40 +32,6 @@ SMALL = EvolutionSettings(population=30, capacity=12, initial_nodes=(2, 10), eli
 def hurry(runs: Rollouts, probability: Tensor) -> Tensor:
     """Who needs fewer actions is better."""
     return torch.where(runs.succeeded, 1 / runs.transitions, 0.0)
-
-
-def test_what_a_run_is_worth_is_ones_own() -> None:
-    graphs = random_population(300, ACTIONS, 12, (2, 10), seeded(0)).graphs
-    environment, keep = model(0, 5), torch.tensor([True, False, False, False, False])
-    found = evaluator(ACTIONS, environment, keep, fitness=hurry)(graphs)
-    runs = rollout(graphs, ACTIONS, environment)
-    kept = runs.succeeded[:, 0]
-    assert 0 < kept.sum() < 300
-    expected = hurry(runs, torch.zeros(300, 5)) * kept[:, None]
-    assert torch.equal(found.scores, expected)
-    assert torch.equal(found.fitness, expected.mean(1))
-    usual = evaluator(ACTIONS, environment, keep)(graphs)
-    assert torch.equal(found.succeeded, usual.succeeded)
-    assert not torch.equal(found.scores, usual.scores)
-
-
-def test_worth_that_is_no_number_or_negative() -> None:
-    def odd(runs: Rollouts, probability: Tensor) -> Tensor:
-        worth = chance_of_success(runs, probability) + 0.5
-        worth[3] = torch.nan
-        worth[5] = -7
-        return worth
-
-    graphs = random_population(20, ACTIONS, 12, (2, 10), seeded(0)).graphs
-    environment, keep = model(0, 4), torch.zeros(4, dtype=torch.bool)
-    found, usual = (evaluator(ACTIONS, environment, keep, fitness=f)(graphs)
-                    for f in (odd, chance_of_success))  # fmt: skip
-    assert found.not_finite == usual.not_finite + 1
-    assert (found.scores[[3, 5]] == 0).all()
-    assert not found.succeeded[3].any()
-    assert torch.equal(found.succeeded[5], usual.succeeded[5])
-    rest = [i for i in range(20) if i not in (3, 5)]
-    assert torch.equal(found.scores[rest], usual.scores[rest] + 0.5)
 
 
 def test_evolution_follows_ones_own_fitness() -> None:
