@@ -1,12 +1,14 @@
-"""Which folders know of which: the tabletop is one domain, and nothing needs it; names of tests."""
+"""Which folders and files know of which, how much there is to know, and names of tests."""
 
 import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import networkx as nx
 import pytest
 
 import cgtorch
+from cgtorch import Domain
 
 PACKAGE = Path(cgtorch.__file__).parent
 TABLETOP = "cgtorch.tabletop"
@@ -117,3 +119,54 @@ def test_no_two_test_files_share_a_name() -> None:
     """pytest imports a test file by its bare name, so it refuses the second of two."""
     names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
     assert {name for name in names if names.count(name) > 1} == set()
+
+
+def modules() -> dict[str, Path]:
+    """The package's files by the names of their modules."""
+    paths = files_outside()
+    return {
+        package_of(p) if p.stem == "__init__" else f"{package_of(p)}.{p.stem}": p for p in paths
+    }
+
+
+def home_of(name: str, known: dict[str, Path]) -> str:
+    """The module in which an imported name is; "" outside the package."""
+    while name and name not in known:
+        name = name.rpartition(".")[0]
+    return name
+
+
+def arrows() -> nx.DiGraph:
+    """From each module to those that it imports anywhere, also for type checkers only."""
+    known = modules()
+    found = nx.DiGraph()
+    for module, path in known.items():
+        homes = {home_of(name, known) for name in imported(parsed(path), package_of(path))}
+        found.add_edges_from((module, home) for home in homes - {module, ""})
+    # What a folder's `__init__` exports is looked up late, and is where it is defined.
+    found.remove_nodes_from([m for m, p in known.items() if p.stem == "__init__"])
+    return found
+
+
+def circles(graph: nx.DiGraph) -> list[set[str]]:
+    return [found for found in nx.strongly_connected_components(graph) if len(found) > 1]
+
+
+def test_no_modules_and_no_folders_import_each_other() -> None:
+    modules_ = arrows()
+    assert modules_.number_of_edges() > 500
+    assert circles(modules_) == []
+    rooms = nx.DiGraph((a.split(".")[1], b.split(".")[1]) for a, b in modules_.edges)
+    rooms.remove_edges_from([*nx.selfloop_edges(rooms)])
+    assert circles(rooms) == []
+
+
+def test_a_domain_has_few_members() -> None:
+    own = {*vars(Domain), *Domain.__annotations__, "settings"}
+    assert len([name for name in own if not name.startswith("_")]) <= 16
+
+
+def test_a_folder_and_a_file_can_be_known() -> None:
+    sources = [p for p in PACKAGE.rglob("*") if p.suffix in {".py", ".c", ".h", ".cu"}]
+    assert len({p.relative_to(PACKAGE).parts[0] for p in sources if p.parent != PACKAGE}) <= 14
+    assert [str(p) for p in sources if len(p.read_text().splitlines()) > 350] == []

@@ -224,12 +224,12 @@ def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Cal
     """Show on a terminal a live line with a message, the elapsed time, and the work done.
 
     Yields a function to call with the amount of further work done, of `total`. Long work that is
-    counted within has a line of its own until it is done (`cgtorch.ground.processes`).
+    counted within has a line of its own until it is done (`cgtorch.native.processes`).
     """
     from rich import progress as rich
     from rich.console import Console
 
-    from cgtorch.ground.processes import listening
+    from cgtorch.native.processes import listening
 
     console = Console(stderr=True)
     columns = [rich.SpinnerColumn(), rich.TextColumn("{task.description} …", markup=False)]

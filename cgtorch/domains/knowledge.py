@@ -16,9 +16,9 @@ from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.evolution.search import derived_generator
 from cgtorch.ground.environment import Dataset
-from cgtorch.ground.processes import in_processes
 from cgtorch.ground.statistics import Acceptance, accept_model
 from cgtorch.improvement.events import ModelSummary
+from cgtorch.native.processes import in_processes
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.simulation.model import MOST_NOVEL, Compile, Possible
 

@@ -192,7 +192,7 @@ class ProgressDisplay:
             self._working.remove(entry)
 
     def counted(self, what: str, done: int, total: int) -> None:
-        """Show how much is done of long work, until all is; see `cgtorch.ground.processes`."""
+        """Show how much is done of long work, until all is; see `cgtorch.native.processes`."""
         now = time.monotonic()
         began, told, _ = self._counts.pop(what, (now, now, None)) if done else (now, now, None)
         count = Count(done, total, now - began)

@@ -13,7 +13,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.ground.errors import SettingsError
-from cgtorch.ground.processes import in_processes, one_thread_each
+from cgtorch.native.processes import in_processes, one_thread_each
 from cgtorch.svm import inputs
 from cgtorch.svm.cross_validation import fold_numbers, score_of, training_masks
 from cgtorch.svm.machine import KernelMachine, PerOutput

@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from cgtorch.ground.errors import DataError, SettingsError
-from cgtorch.ground.processes import kept_threads, one_thread_each
 from cgtorch.native import VECTOR, constants, function, structure, threads
+from cgtorch.native.processes import kept_threads, one_thread_each
 from cgtorch.svm.inputs import as_number
 
 LOG2E = math.log2(math.e)

@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 
 from cgtorch.ground.environment import Dataset, Lanes, start_lanes
 from cgtorch.ground.errors import DataError
-from cgtorch.ground.processes import counted
+from cgtorch.native.processes import counted
 from cgtorch.tabletop.world import PLACEMENTS, ObservedTabletop, Scenarios, draw_of
 from cgtorch.tabletop.world.clear_motion import sweep_blocked
 from cgtorch.tabletop.world.geometry import rectangle_in_frame, rotate

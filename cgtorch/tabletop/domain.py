@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import torch
 from torch import Generator, Tensor, nn
@@ -15,7 +15,6 @@ from cgtorch.domains.exploration import EXPLORATION, Exploration
 from cgtorch.domains.files import Files
 from cgtorch.domains.knowledge import Knowledge, imagine
 from cgtorch.domains.models import Models
-from cgtorch.domains.pictures import Pictures, Published
 from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
 from cgtorch.domains.transition import TransitionModel
@@ -43,11 +42,9 @@ from cgtorch.tabletop.models import compiled_models
 from cgtorch.tabletop.models.success import COSTS, GAMMAS, GraspClassifier
 from cgtorch.tabletop.models.transition import TableTransitionModel
 from cgtorch.tabletop.physics import MujocoWorld, Physics
-from cgtorch.tabletop.physics.film import film_of
 from cgtorch.tabletop.physics.model import mujoco
-from cgtorch.tabletop.published import EXPERIMENTS, stage_drawing
+from cgtorch.tabletop.published import TabletopPictures
 from cgtorch.tabletop.settings import WORLDS, TabletopSettings
-from cgtorch.tabletop.table_picture import draw_placements
 from cgtorch.tabletop.world import (
     DRAWS,
     EDGES,
@@ -63,9 +60,7 @@ from cgtorch.tabletop.world import (
 from cgtorch.tabletop.world.percepts import BOX, parts_of, percept_fields
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from cgtorch.graphs import Skill
+    pass
 
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
 TRANSITIONS, LABELS = 2000, 5500  # random data of the paper's method
@@ -149,37 +144,6 @@ class TabletopModels(Models["Tabletop"]):
         return ClearMotion(footprint + more)
 
 
-class TabletopPictures(Pictures["Tabletop"]):
-    """Scenes from above, and what the paper published."""
-
-    published: ClassVar[Mapping[str, Published]] = EXPERIMENTS
-    publisher = "the paper"
-    solved = ("reached", "Objects reached")
-
-    def about(self) -> list[tuple[str, str]]:
-        """See `Pictures.about`."""
-        s = self.domain.settings
-        world = f"{s.world}, a touch {s.touch}" if s.world == "mujoco" else s.world
-        return [("Robot", self.domain.robot.description.name), ("World", world)]
-
-    def scenarios(
-        self, scenarios: Scenarios, succeeded: Tensor, targets: Tensor, title: str = ""
-    ) -> "Figure":
-        """See `Pictures.scenarios`: the scenes from above."""
-        footprint = self.domain.robot.description.footprint
-        return draw_placements(scenarios, succeeded, targets, footprint=footprint, title=title)
-
-    def film(self, skill: "Skill", scenarios: Scenarios) -> bytes | None:
-        """See `Pictures.film`: what MuJoCo's renderer sees of it in physics."""
-        if self.domain.settings.world != "mujoco":
-            return None
-        return film_of(skill, self.domain.physics, self.domain.world_in, scenarios, "webp")[1]
-
-    def stage(self, name: str) -> str:
-        """See `Pictures.stage`: the paper's drawing of an experiment."""
-        return stage_drawing(self.domain.stages[name], self.domain.robot.description.footprint)
-
-
 class RobotFiles(Files["Tabletop"]):
     """The robot's URDF, with shapes in place of meshes, and its description."""
 
@@ -259,22 +223,25 @@ class Tabletop(Domain[Scenarios]):
         networks = "percept" if method == "paper" else "edge"
         networks = networks if s.networks == "auto" else s.networks
         boxes = draw_of(kind)(0, Generator()).obstacles.shape[1]
-        given = tabletop, boxes, networks, self.physics, method == "paper"
-        return Tabletop(self.settings, self.robot, *given)
+        return self._like(
+            tabletop=tabletop, obstacles=boxes, networks=networks, published_data=method == "paper"
+        )
 
     def in_world(self, name: str) -> "Tabletop":
         """See `Adaptable.in_world`."""
         if name not in WORLDS:
             raise SettingsError(f"world is {name!r:.40}; use one of {', '.join(WORLDS)}")
-        return self._under(world=name)
+        return self._like(settings=replace(self.settings, world=name))
 
     def other_measures(self) -> Mapping[str, "Tabletop"]:
         """See `Adaptable.other_measures`: in physics, with touches allowed or failing."""
         if self.settings.world != "mujoco":
             return {}
         if self.settings.touch == "fails":
-            return {"lifted, whatever the arm touched": self._under(touch="allowed")}
-        return {"lifted without a touch of table or robot": self._under(touch="fails")}
+            name, touch = "lifted, whatever the arm touched", "allowed"
+        else:
+            name, touch = "lifted without a touch of table or robot", "fails"
+        return {name: self._like(settings=replace(self.settings, touch=touch))}
 
     def variants(self, kind: str) -> Iterable["Tabletop"]:
         """See `Adaptable.variants`.
@@ -284,24 +251,22 @@ class Tabletop(Domain[Scenarios]):
         """
         percepts = sorted(PERCEPTS, key=lambda percept: percept != usual_percept(kind))
         every = itertools.product(ACTIONS, (0, 1), percepts)
-        return (self._with(percept, boxes, networks) for networks, boxes, percept in every)
-
-    def _with(self, tabletop: str, obstacles: int, networks: str) -> "Tabletop":
-        given = tabletop, obstacles, networks, self.physics
-        return Tabletop(self.settings, self.robot, *given)
+        return (
+            self._like(tabletop=percept, obstacles=boxes, networks=networks)
+            for networks, boxes, percept in every
+        )
 
     def watched(self, physics: Physics) -> "Tabletop":
         """The same tabletop with other physics, such as observed physics."""
-        given = self.tabletop, self.obstacles, self.networks, physics
-        return Tabletop(self.settings, self.robot, *given)
+        return self._like(physics=physics)
 
     def world_in(self, physics: Physics, scenarios: Scenarios) -> ObservedTabletop:
         """The world of some scenarios with other physics."""
         return self.watched(physics).world(scenarios)
 
-    def _under(self, **settings: Any) -> "Tabletop":
-        given = self.tabletop, self.obstacles, self.networks, self.physics
-        return Tabletop(replace(self.settings, **settings), self.robot, *given)
+    def _like(self, **changes: Any) -> "Tabletop":
+        names = "settings", "robot", "tabletop", "obstacles", "networks", "physics"
+        return Tabletop(**{**{name: getattr(self, name) for name in names}, **changes})
 
     def draw(self, kind: str, count: int, generator: Generator) -> Scenarios:
         """See `Domain.draw`."""

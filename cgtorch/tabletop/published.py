@@ -1,12 +1,22 @@
-"""The results that Riano & McGinnity report: section VI, figures 3 to 10."""
+"""Pictures of the tabletop, and what Riano & McGinnity report: section VI, figures 3 to 10."""
 
 import tomllib
 from importlib.resources import files
+from typing import TYPE_CHECKING, Any
 
 import torch
+from torch import Tensor
 
-from cgtorch.domains.pictures import Published
-from cgtorch.tabletop.world import stage_scenarios
+from cgtorch.domains.pictures import Pictures, Published
+from cgtorch.tabletop.physics.film import film_of
+from cgtorch.tabletop.table_picture import draw_placements
+from cgtorch.tabletop.world import Scenarios, stage_scenarios
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from cgtorch.graphs import Skill
+
 
 _FILES = files("cgtorch.tabletop")
 EXPERIMENTS = {
@@ -49,3 +59,34 @@ def stage_drawing(edge: str, footprint: tuple[float, float, float, float]) -> st
 def _rectangle(x: float, y: float, depth: float, width: float) -> tuple[float, ...]:
     """A rectangle by its far left corner, as left, top, width and height, in cm."""
     return tuple(100 * v for v in (-y, -x, width, depth))
+
+
+class TabletopPictures(Pictures[Any]):
+    """Scenes from above, and what the paper published."""
+
+    published = EXPERIMENTS
+    publisher = "the paper"
+    solved = ("reached", "Objects reached")
+
+    def about(self) -> list[tuple[str, str]]:
+        """See `Pictures.about`."""
+        s = self.domain.settings
+        world = f"{s.world}, a touch {s.touch}" if s.world == "mujoco" else s.world
+        return [("Robot", self.domain.robot.description.name), ("World", world)]
+
+    def scenarios(
+        self, scenarios: Scenarios, succeeded: Tensor, targets: Tensor, title: str = ""
+    ) -> "Figure":
+        """See `Pictures.scenarios`: the scenes from above."""
+        footprint = self.domain.robot.description.footprint
+        return draw_placements(scenarios, succeeded, targets, footprint=footprint, title=title)
+
+    def film(self, skill: "Skill", scenarios: Scenarios) -> bytes | None:
+        """See `Pictures.film`: what MuJoCo's renderer sees of it in physics."""
+        if self.domain.settings.world != "mujoco":
+            return None
+        return film_of(skill, self.domain.physics, self.domain.world_in, scenarios, "webp")[1]
+
+    def stage(self, name: str) -> str:
+        """See `Pictures.stage`: the paper's drawing of an experiment."""
+        return stage_drawing(self.domain.stages[name], self.domain.robot.description.footprint)

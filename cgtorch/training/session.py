@@ -16,9 +16,9 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.ground.processes import listening
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.native.gpu import launcher_of
+from cgtorch.native.processes import listening
 from cgtorch.report import ProgressDisplay, TensorBoardWatch
 from cgtorch.runs.journal import (
     SECONDS,

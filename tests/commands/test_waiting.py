@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from cgtorch.commands.common import resumable, run_command, waiting
-from cgtorch.ground.processes import counted
+from cgtorch.native.processes import counted
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from cgtorch import native
 from cgtorch.ground import distributed
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import SettingsError
-from cgtorch.ground.processes import counted, in_processes
+from cgtorch.native.processes import counted, in_processes
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.physics.drive import drive
 from cgtorch.tabletop.physics.grasp import SEEN, grasp, planned, way_of

@@ -9,7 +9,7 @@ from cgtorch import native
 from cgtorch.ground.dry_run import check_environment
 from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.ground.errors import SettingsError
-from cgtorch.ground.processes import listening
+from cgtorch.native.processes import listening
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.physics import MujocoWorld, Physics, model

@@ -8,12 +8,12 @@ import sys
 import pytest
 
 from cgtorch.ground.errors import DataError, SettingsError
-from cgtorch.ground.processes import counted, in_processes, listening
+from cgtorch.native.processes import counted, in_processes, listening
 
 WORK = """
 import os
 import time
-from cgtorch.ground.processes import in_processes
+from cgtorch.native.processes import in_processes
 
 def work(number):
     os.write(1, b"begun\\n")  # a line at once, whoever else writes
