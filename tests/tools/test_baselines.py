@@ -1,7 +1,6 @@
 """The ways of work that the benchmark compares the engine with end as the engine does."""
 
 import copy
-import sys
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -9,11 +8,6 @@ from random import Random
 import click
 import pytest
 import torch
-from support import random_graphs, seeded
-from torch import Tensor
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 from benchmarks import generation, on_gpu, paper_way, strong_cpu
 from benchmarks.array_models import ArrayModels
 from benchmarks.gating import gating_gradient
@@ -34,6 +28,8 @@ from benchmarks.rollouts import alike, taken
 from benchmarks.tensor_way import tensor_rollout
 from benchmarks.touching import touching
 from benchmarks.workload import Workload, first_population, workload_of
+from support import random_graphs, seeded
+from torch import Tensor
 
 from cgtorch.graphs import NO_NODE, Graphs, widened
 from cgtorch.runs.storage import load_knowledge

@@ -2,17 +2,12 @@
 
 import importlib.metadata
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
+import benchmark
 import click.testing
 import pytest
 import torch
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-import benchmark
 from benchmarks.measure import (
     QUICK,
     Comparison,

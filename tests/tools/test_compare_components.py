@@ -1,15 +1,11 @@
 """The table of what parts of the search are worth, from results that are kept."""
 
 import json
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 import compare_components
+from click.testing import CliRunner
 from standard.measure import Result
 
 

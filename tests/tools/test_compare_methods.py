@@ -3,7 +3,6 @@
 import json
 import math
 import shutil
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +10,10 @@ from typing import Any
 
 import click
 import pytest
-from told_by_runs import asked_at_start
-from trained import SMALL
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 from compare_methods import METHODS, beginning, compare, published, quietly
 from comparison.table import LABELS, cost_of, spread, table
+from told_by_runs import asked_at_start
+from trained import SMALL
 
 from cgtorch.runs.storage import load_dataset
 from cgtorch.runs.stored_run import read_run

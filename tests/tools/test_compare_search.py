@@ -1,18 +1,14 @@
 """The logic of the comparison; what it measures is never a test."""
 
-import sys
 from pathlib import Path
 
 import click.testing
+import compare_search
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import rankdata, wilcoxon
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-import compare_search
 from searches.problems import Problem
 from searches.statistics import midranks, quartiles, signed_rank
 from searches.table import on_the_way, table

@@ -1,15 +1,11 @@
 """Running out of disk: the tool fills small file systems only, and leaves them as they were."""
 
 import os
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 from fill_disk import LARGEST, ballast, capacity, command, used
 
 BLOCK = 4096

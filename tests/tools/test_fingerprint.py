@@ -1,13 +1,9 @@
 """A fingerprint is that of what a run came to, wherever and whenever it was made."""
 
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 from fingerprint import fingerprint
 
 from cgtorch.ground.files import read_json, write_json

@@ -5,12 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import fuzz
 import pytest
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-import fuzz
 from fuzz import FORMATS, Tally, command, line, shares
 from hostile.formats import PR2, REFERENCE
 from hostile.mutations import Mutation, damaged, damaged_json, damaged_tensors, damaged_xml

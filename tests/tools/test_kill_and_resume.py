@@ -1,14 +1,10 @@
 """A training under `kill -9` ends as one left alone; the tool itself does it often."""
 
-import sys
 from pathlib import Path
 
+import kill_and_resume
 import pytest
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-import kill_and_resume
 from kill_and_resume import command, results_of, timeless
 
 

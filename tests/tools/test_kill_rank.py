@@ -1,12 +1,8 @@
 """A run goes on after one of its ranks was killed; the tool itself kills many."""
 
-import sys
 from pathlib import Path
 
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 from kill_rank import command
 
 

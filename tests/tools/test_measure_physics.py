@@ -1,14 +1,12 @@
 """Poses that are accepted are lifted, refused ones are not; a figure is made of what is kept."""
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 pytest.importorskip("mujoco")
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 import measure_physics
 from in_physics import poses, skills

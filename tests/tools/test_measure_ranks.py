@@ -1,13 +1,7 @@
 """The tool's own logic; what it measures is never a test."""
 
-import sys
-from pathlib import Path
-
-from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 import measure_ranks
+from click.testing import CliRunner
 
 
 def test_ranks_are_started_and_come_to_the_same() -> None:

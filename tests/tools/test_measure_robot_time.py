@@ -1,16 +1,12 @@
 """What a skill costs a robot is counted up to what had been asked before it acted."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
+import measure_robot_time as tool
 import pytest
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-import measure_robot_time as tool
 
 from cgtorch.runs.settings import RunSettings
 from cgtorch.tabletop.settings import TabletopSettings

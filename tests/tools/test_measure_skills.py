@@ -1,13 +1,9 @@
 """One small run, measured; and the table."""
 
-import sys
 from pathlib import Path
 
-import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 import measure_skills
+import pytest
 from click.testing import CliRunner
 
 from cgtorch.ground.files import read_json

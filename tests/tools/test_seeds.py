@@ -1,14 +1,8 @@
 """Seeds of tools: a first one, and one past the last."""
 
-import sys
-from pathlib import Path
-
 import click
 import pytest
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 from options.seeds import seeds_option
 
 

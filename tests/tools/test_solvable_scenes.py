@@ -1,21 +1,16 @@
 """Scenarios that can be solved, by the robots' own arms."""
 
-import sys
 from functools import partial
-from pathlib import Path
 
 import pytest
-import torch
-from shapely import Polygon
-from support import FOOTPRINT, seeded
-from torch import Tensor
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 import solvable_scenes
+import torch
 from click.testing import CliRunner
+from shapely import Polygon
 from solvability.poses import pose_that_grasps, standing_free
 from solvability.ways import fewest_moves
+from support import FOOTPRINT, seeded
+from torch import Tensor
 
 from cgtorch.tabletop.kinematics import Robot, graspable, load_robot
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, draw_of, random_scenarios

@@ -1,17 +1,11 @@
 """The double pole against a plain simulation of one state, and what is known about it."""
 
 import math
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 from standard import double_pole
 from standard.double_pole import (
     CHALLENGES,
@@ -22,6 +16,7 @@ from standard.double_pole import (
     LongWorld,
 )
 from standard.task import OVER, RETURN, STEPS, Starts
+from torch import Tensor
 
 from cgtorch.ground.environment import Lanes, start_lanes
 

@@ -1,15 +1,9 @@
 """This library with a learned Γ on the standard tasks; what it measures is never a test."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
-from support import seeded
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 from standard.measure import Budget, Trial
 from standard.models import (
     EPISODES,
@@ -25,6 +19,7 @@ from standard.peers import UnsuitableError
 from standard.rewards import GIVEN
 from standard.task import Starts
 from standard.tasks import TASKS
+from support import seeded
 
 from cgtorch.ground.environment import start_lanes
 
