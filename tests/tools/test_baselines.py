@@ -1,6 +1,5 @@
 """The ways of work that the benchmark compares the engine with end as the engine does."""
 
-import copy
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -144,16 +143,6 @@ def test_operators_on_networkx_graphs_make_the_same_children_on_average() -> Non
             apart(ours, shifted)
 
 
-def test_parents_stay_as_they_were() -> None:
-    population = first_population(40, work().actions)
-    parents = individuals(population, work().actions)
-    before = copy.deepcopy(
-        [(dict(p.graph.nodes), list(p.graph.edges), p.strategy) for p in parents]
-    )
-    networkx_children(parents, kinds_of(work().actions), Random(1))
-    assert before == [(dict(p.graph.nodes), list(p.graph.edges), p.strategy) for p in parents]
-
-
 def test_a_generation_is_split_into_all_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(generation, "MORE", 500)  # few individuals take hardly any time
     looked = one_evolution(work(), 30, (0, 3))
@@ -171,25 +160,14 @@ def test_a_generation_is_split_into_all_its_parts(monkeypatch: pytest.MonkeyPatc
     assert sum(parts) > 0
 
 
-def test_postures_are_said_to_touch_alike() -> None:
-    line = touching(Effort(repeats=5, size=0.05))
-    assert [part.label for part in line.parts] == ["pr2, 200 postures", "fetch, 200 postures"]
-    assert all(part.difference == 0 and part.ratio > 0 for part in line.parts)
-
-
-def test_the_gradient_of_gating_networks() -> None:
-    line = gating_gradient(Effort(repeats=5, size=0.05))
-    assert [part.label for part in line.parts] == [
+def test_lines_of_postures_and_gating_networks() -> None:
+    postures, gating = (line(Effort(repeats=5, size=0.05)) for line in (touching, gating_gradient))
+    assert [part.label for part in (*postures.parts, *gating.parts)] == [
+        "pr2, 200 postures", "fetch, 200 postures",
         "S1: 760 scenarios, 2 members", "S3: 1160 scenarios, 4 members",
     ]  # fmt: skip
-    assert all(part.ratio > 0 for part in line.parts)
-
-
-def test_more_room_changes_no_result() -> None:
-    wide = widened(graphs_to_run(), 16)
-    assert wide.capacity == 16
-    found = rollout(wide, work().actions, work().environment, max_transitions=LIMIT)
-    assert torch.equal(found.percept, runs().percept)
+    assert all(part.difference == 0 for part in postures.parts)
+    assert all(part.ratio > 0 for part in (*postures.parts, *gating.parts))
 
 
 def test_more_room_is_measured_where_it_changes_nothing() -> None:
@@ -215,20 +193,14 @@ def cpu_as_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "pretended")
 
 
-def test_a_generation_of_the_gpu_lines_is_always_the_same() -> None:
-    population, cpu = first_population(40, work().actions), torch.device("cpu")
-    once = on_gpu._generation(work(), work().environment, population, cpu)
-    first, second = once(), once()
-    assert first.generation == 1
-    assert len(first.population) == 40
-    for name, tensor in vars(first.population.graphs).items():
-        on_gpu._check_same(name, getattr(second.population.graphs, name), tensor)
-    with pytest.raises(DisagreementError, match="strategies"):
-        on_gpu._check_same("strategies", first.population.strategy, population.strategy)
-
-
 @pytest.mark.usefixtures("cpu_as_gpu")
 def test_gpu_lines_run_and_compare() -> None:
+    population, cpu = first_population(40, work().actions), torch.device("cpu")
+    once = on_gpu._generation(work(), work().environment, population, cpu)
+    one, two = (once().population for _ in range(2))
+    on_gpu._check_same("strategies", two.strategy, one.strategy)
+    with pytest.raises(DisagreementError, match="strategies"):
+        on_gpu._check_same("strategies", one.strategy, population.strategy)
     rollouts = on_gpu.gpu_rollouts(Effort(repeats=1, size=1.0))
     generation = on_gpu.gpu_generation(10_000, Effort(repeats=1, size=1.0))
     assert rollouts.parts[0].label == "40 x 6"

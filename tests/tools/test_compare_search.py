@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import rankdata, wilcoxon
 from searches.problems import Problem
-from searches.statistics import midranks, quartiles, signed_rank
+from searches.statistics import midranks, signed_rank
 from searches.table import on_the_way, table
 from searches.trial import tried
 from searches.variants import VARIANTS
@@ -20,16 +20,8 @@ numbers = st.lists(st.integers(-5, 5).map(float), min_size=1, max_size=10)
 
 
 def a_trial(share: float, steps: list[list[float]], seconds: float = 8.0) -> dict[str, object]:
-    return {
-        "solved": share == 1,
-        "share": share,
-        "fitness": share,
-        "nodes": 3,
-        "transitions": 800,
-        "generations": 4,
-        "seconds": seconds,
-        "steps": steps,
-    }
+    costs = {"nodes": 3, "transitions": 800, "generations": 4, "seconds": seconds}
+    return {"solved": share == 1, "share": share, "fitness": share, **costs, "steps": steps}
 
 
 @given(numbers)
@@ -57,10 +49,6 @@ def test_facts_of_the_test() -> None:
     assert signed_rank([1.0, -1.0]) == 1
     with pytest.raises(ValueError, match="21 differences"):
         signed_rank([1.0] * 21)
-
-
-def test_quartiles() -> None:
-    assert quartiles([4, 1, 3, 2, 5]) == (2, 3, 4)
 
 
 def test_share_on_the_way_is_the_area_below_the_steps() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import fuzz
 import pytest
 from click.testing import CliRunner
-from fuzz import FORMATS, Tally, command, line, shares
+from fuzz import FORMATS, command, shares
 from hostile.formats import PR2, REFERENCE
 from hostile.mutations import Mutation, damaged, damaged_json, damaged_tensors, damaged_xml
 from hostile.worker import LONGEST, said, wrong
@@ -95,8 +95,3 @@ def test_a_few_inputs_of_one_format() -> None:
     result = CliRunner().invoke(command, ["--only", "result", "--count", "12"])
     assert result.exit_code == 0, result.output
     assert result.output.splitlines()[1].split()[:2] == ["result", "12"]
-
-
-def test_a_line_of_the_table() -> None:
-    text = line("skill", Tally(1200, 300, [(3, "x")], 2048))
-    assert text.split() == ["skill", "1,501", "1,200", "300", "1", "2"]

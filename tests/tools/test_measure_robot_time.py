@@ -20,9 +20,6 @@ ROWS: list[dict[str, Any]] = [
 
 def test_a_share_is_passed_when_a_skill_first_has_it() -> None:
     assert [tool.passed(row, 0.85) for row in ROWS] == [40, 30, float("inf")]
-
-
-def test_worse_skills_are_those_that_lose_two_points() -> None:
     assert tool.worse(ROWS) == (1, 4)
 
 

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import measure_skills
-import pytest
 from click.testing import CliRunner
 
 from cgtorch.ground.files import read_json
@@ -32,36 +31,10 @@ def test_a_run_is_made_once_and_measured(tmp_path: Path) -> None:
 
 def test_the_table_tells_the_median_and_the_least() -> None:
     results = [
-        {
-            "kind": "clutter",
-            "tried": 10,
-            "succeeded": {"general-clutter": n},
-            "seconds": 60.0 + n,
-            "searching": 10.0 * n,
-            "w_lost": n,
-            "nodes": n,
-            "largest": 2 * n,
-        }
+        {"kind": "clutter", "tried": 10, "succeeded": {"general-clutter": n}}
+        | {"seconds": 60.0 + n, "searching": 10.0 * n, "w_lost": n, "nodes": n, "largest": 2 * n}
         for n in (9, 7, 8)
     ]
-    line = measure_skills.table(results).splitlines()[-1]
-    assert line.split("|")[2:-1] == [
-        " general-clutter ",
-        " 80.0% ",
-        " 70.0% ",
-        " 3 ",
-        " 68, 90 ",
-        " 24 ",
-        " 9, 18 ",
-    ]
-
-
-def test_no_results_no_lines() -> None:
+    cells = [cell.strip() for cell in measure_skills.table(results).splitlines()[-1].split("|")]
+    assert cells[2:-1] == ["general-clutter", "80.0%", "70.0%", "3", "68, 90", "24", "9, 18"]
     assert len(measure_skills.table([]).splitlines()) == 2
-
-
-@pytest.mark.parametrize("kind", measure_skills.KINDS)
-def test_every_kind_is_tried_on_something(kind: str) -> None:
-    options, placements = measure_skills.KINDS[kind]
-    assert options[0] == "--stage"
-    assert placements

@@ -93,32 +93,6 @@ def test_floats_and_arrays_give_the_same() -> None:
     assert double_pole.moved(state[:0], force[:0]).shape == (0, 6)
 
 
-def energy(state: Tensor) -> Tensor:
-    """Of states (n, 6): uniform poles on a cart that moves along a level track."""
-    _, *angles, v, w1, w2 = state.unbind(1)
-    total = 0.5 * v * v
-    for theta, w, (m, half) in zip(angles, (w1, w2), ((0.1, 0.5), (0.01, 0.05)), strict=True):
-        total = total + 0.5 * m * (v * v + 2 * v * half * w * theta.cos())
-        total = total + 0.5 * m * 4 / 3 * (half * w) ** 2 + m * 9.8 * half * theta.cos()
-    return total
-
-
-def test_energy_stays_without_friction_and_goes_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def after(steps: int) -> tuple[Tensor, Tensor]:
-        lanes = begun(world := DoublePole(Starts(torch.zeros(1).long())), 1)
-        before = energy(lanes.state[:, :6])
-        for _ in range(steps):
-            lanes, _ = world.step(lanes, torch.zeros(1, 1))
-        return before, energy(lanes.state[:, :6])
-
-    _, with_friction = after(15)
-    monkeypatch.setattr(double_pole, "TRACK_FRICTION", 0.0)
-    monkeypatch.setattr(double_pole, "HINGE_FRICTION", 0.0)
-    before, without = after(15)
-    assert float(without) == pytest.approx(float(before), abs=1e-6)
-    assert with_friction < without - 1e-6
-
-
 @pytest.mark.parametrize("push", [-1.0, 0.0, 1.0])
 def test_poles_fall_unless_they_are_held(push: float) -> None:
     lanes = begun(world := DoublePole(Starts(torch.zeros(1).long())), 1)
