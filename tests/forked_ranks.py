@@ -1,31 +1,44 @@
-"""Ranks as `torchrun` starts them, forked from a process that has loaded torch already.
+"""Ranks as `torchrun` starts them, forked from a process with torch, and what they do.
 
 Loading it takes each process a second, and tests start dozens of ranks. `torchrun` itself starts
 them in the tests of `tools/measure_ranks.py` and `tools/kill_rank.py`, and of restarts.
 """
 
+import hashlib
+import json
 import multiprocessing
 import os
 import socket
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 import torch
+from support import model, search, seeded, stochastic_actions
 
+from cgtorch.evolution import EvolutionSettings
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.files import notes_of
+from cgtorch.improvement.events import Event, GenerationDone
+from cgtorch.improvement.setup import Budget
+from cgtorch.improvement.specialists import evolve_candidate
+from cgtorch.runs.journal import FileJournal
 
 PATIENCE = 300
 NEEDED = ("cgtorch.commands.training", "cgtorch.tabletop.domain", "torch.utils.tensorboard")
 """What a training imports."""
+COUNTS = (1, 2, 4)
+BUDGET = Budget(generations=9, patience=99)
 
 
 def on_ranks(count: int, program: Callable[..., None], *arguments: Any, output: Path) -> str:
     """What so many ranks print, which all call a function that can be imported; kept in a file."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["forked_ranks", "islands_on_ranks", *NEEDED])
+    context.set_forkserver_preload(["forked_ranks", *NEEDED])
     with socket.socket() as one:
         one.bind(("localhost", 0))
         port = one.getsockname()[1]
@@ -102,3 +115,42 @@ def gather() -> None:
         ranks.wait()
         if ranks.first():
             click.echo("all gathered")
+
+
+def evolved(folder: Path, islands: int, stop: int) -> list[Any]:
+    """Nine generations of 13 individuals an island, or those up to `stop`."""
+    sizes = {"capacity": 10, "initial_nodes": (2, 8), "islands": islands, "migration": 2}
+    settings = EvolutionSettings(13, **sizes)  # type: ignore[arg-type]
+    generator, told = seeded(3), list[Any]()
+
+    def watch(event: Event) -> None:
+        if isinstance(event, GenerationDone):
+            found = event.generation
+            told.append([found.number, found.best, found.transitions, found.succeeded.tolist()])
+            assert len(found.islands) == len(ranks.held(islands))
+            if found.number == stop:
+                raise KeyboardInterrupt
+
+    with suppress(KeyboardInterrupt), FileJournal(folder, seconds=0) as journal:
+        setup = search(stochastic_actions(), settings, BUDGET, journal)
+        stage = replace(setup, name="S0", generator=generator, watch=watch)
+        best = evolve_candidate(stage, "x", model(0, 7))
+        champion, solved = best.champion, best.solved
+        after = torch.rand(3, generator=generator)  # what follows an evolution draws from it, too
+        found = [*vars(champion.graphs).values(), champion.strategy, solved, after]
+        return [told, hashlib.sha256(b"".join(t.numpy().tobytes() for t in found)).hexdigest()]
+    parts = sorted(folder.glob("*.*.safetensors"))
+    return [told, [[p.name, notes_of(p.read_bytes())["sha256"]] for p in parts]]
+
+
+def everything(folder: Path, stop: int) -> list[list[Any]]:
+    """For each count of islands."""
+    return [evolved(folder / str(islands), islands, stop) for islands in COUNTS]
+
+
+def as_rank(folder: Path, stop: int) -> None:
+    """The same with other ranks, of which the first prints it as JSON."""
+    with ranks.together():
+        result = everything(folder, stop)
+        if ranks.first():
+            click.echo(json.dumps(result))

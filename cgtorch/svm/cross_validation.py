@@ -16,6 +16,7 @@ from cgtorch.ground.errors import DataError, SettingsError
 from cgtorch.svm import inputs
 from cgtorch.svm.machine import KernelMachine
 from cgtorch.svm.problems import Targets
+from cgtorch.svm.rbf import Gram
 from cgtorch.svm.solver import solve
 
 
@@ -183,13 +184,13 @@ def learning_values(
     all rows. SettingsError if there are no `sizes` (S,), or if one is below 1 or larger than the
     smallest training fold.
     """
-    rows = model.training_rows(x)
+    rows = inputs.training_rows(x)
     targets = model.targets(y, rows)
     numbers = fold_numbers(folds, targets, inputs.generator_of(seed))
     used = _first_rows(training_masks(numbers), sizes).to(rows.device)
     problems = model.problems(targets, used.flatten(0, 1))
     by_mask = torch.arange(len(problems.z), device=rows.device).unflatten(0, (len(targets.y), -1))
-    found = solve(model.gram(rows), problems.take(by_mask.T.flatten()))
+    found = solve(Gram(rows, model.gamma), problems.take(by_mask.T.flatten()))
     values = (found.product + found.bias[:, None]).reshape(*used.shape[:2], *targets.y.shape)
     restored, folds = targets.restored(values), numbers.to(rows.device)
     return LearningValues(tuple(sizes), restored, targets.y, used, folds)

@@ -92,7 +92,7 @@ def grid_search(
         SettingsError: An empty grid, a value that is not positive, or an unknown score.
     """
     score = score_of(scoring or model.scoring)
-    rows = model.training_rows(x)
+    rows = inputs.training_rows(x)
     generator = inputs.generator_of(seed)
     costs, widths = tuple(sorted(_axis(C, "C"))), _axis(gamma, "gamma")
     targets = model.targets(y, rows)
@@ -106,7 +106,7 @@ def grid_search(
     order = sorted(range(len(widths)), key=lambda place: -widths[place])
 
     def work(number: int) -> tuple[Tensor, Tensor]:
-        gram = model.gram(rows, widths[order[number]], threads // processes)
+        gram = Gram(rows, widths[order[number]], threads // processes)
         return _solve_width(model, gram, targets, masks, costs, tubes)
 
     # The operations are short: torch's own threads would double the time.

@@ -1,7 +1,7 @@
 """Input checks: training data as float64 tensors, and the memory that a fit needs."""
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -89,6 +89,13 @@ def check_memory(rows: int) -> None:
         )
 
 
+def training_rows(values: Any) -> Tensor:
+    """`values` as rows (n, d) that a fit can have."""
+    rows = as_rows(values)
+    check_memory(len(rows))
+    return rows
+
+
 def as_number(value: Any) -> float:
     """`value` as a float, NaN if it is no number."""
     try:
@@ -97,29 +104,22 @@ def as_number(value: Any) -> float:
         return float("nan")
 
 
-def positive(value: Any, name: str) -> float:
-    """`value` as a finite float above 0."""
-    if not 0 < (number := as_number(value)) < float("inf"):
-        raise SettingsError(f"{name} is {value!r:.80}; it must be a positive number")
+def positive(value: Any, name: str, or_zero: bool = False) -> float:
+    """`value` as a finite float above 0, or 0 if that is allowed."""
+    number = as_number(value)
+    if not (0 < number < float("inf") or (or_zero and number == 0)):
+        wanted = "0 or a positive number" if or_zero else "a positive number"
+        raise SettingsError(f"{name} is {value!r:.80}; it must be {wanted}")
     return number
 
 
-def not_negative(value: Any, name: str) -> float:
-    """`value` as a finite float, 0 or above."""
-    if not 0 <= (number := as_number(value)) < float("inf"):
-        raise SettingsError(f"{name} is {value!r:.80}; it must be 0 or a positive number")
-    return number
-
-
-def per_output(
-    value: Any, name: str, outputs: int, check: Callable[[Any, str], float] = positive
-) -> Tensor:
-    """One float64 number per output (k,) from a number or a sequence."""
+def per_output(value: Any, name: str, outputs: int, or_zero: bool = False) -> Tensor:
+    """One positive float64 number per output (k,), or 0 if allowed, from a number or a sequence."""
     several = isinstance(value, Sequence | Tensor | np.ndarray) and not isinstance(value, str)
     given = list(value) if several else [value] * outputs
     if len(given) != outputs:
         raise SettingsError(f"{name} has {len(given)} values for {outputs} outputs")
-    return torch.tensor([check(one, name) for one in given], dtype=torch.float64)
+    return torch.tensor([positive(one, name, or_zero) for one in given], dtype=torch.float64)
 
 
 def generator_of(seed: int | torch.Generator) -> torch.Generator:

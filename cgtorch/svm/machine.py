@@ -6,18 +6,19 @@ of its row. So the two differ in their targets, the weights of rows, and the mea
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, Self, TypeAlias
 
 import torch
 from torch import Tensor, nn
 
 from cgtorch.ground.errors import DataError, ModelError
-from cgtorch.native import suits, threads
+from cgtorch.native import suits
 from cgtorch.svm import inputs
 from cgtorch.svm.platt import probability
-from cgtorch.svm.problems import Problems, State, Targets, duality_gap
-from cgtorch.svm.rbf import LOG2E, Gram, machine_values, predict_rbf, resolve_gamma
-from cgtorch.svm.solver import solve, start_at
+from cgtorch.svm.problems import Problems, State, Targets, at_zero, duality_gap, feasible
+from cgtorch.svm.rbf import LOG2E, Gram, machine_values, predict_rbf
+from cgtorch.svm.solver import solve
 
 PerOutput: TypeAlias = float | Sequence[float]
 """One number, or one per output."""
@@ -89,11 +90,11 @@ class KernelMachine(FittedModule, ABC):
         DataError for wrong shapes, NaN, not two classes, or more rows than there is memory for, and
         SettingsError for a parameter that cannot be used.
         """
-        rows = self.training_rows(x)
+        rows = inputs.training_rows(x)
         targets = self.targets(y, rows)
         everything = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
         problems = self.problems(targets, everything)
-        gram, unit = self.gram(rows), targets.unit
+        gram, unit = Gram(rows, self.gamma), targets.unit
         found = solve(gram, problems, self._start(gram, problems, unit) if warm else None)
         used = (found.beta != 0).any(0)
         if not bool(used.any()):
@@ -112,20 +113,6 @@ class KernelMachine(FittedModule, ABC):
         self.C, self.gamma = self.cost.tolist(), float(self.gamma_value)
         return self.fit(x, y, warm=True)
 
-    def training_rows(self, x: Any) -> Tensor:
-        """Rows (n, d) in float64, after checking that they are finite and fit into memory."""
-        rows = inputs.as_rows(x)
-        inputs.check_memory(len(rows))
-        return rows
-
-    def gram(self, rows: Tensor, gamma: float | None = None, most_threads: int = 0) -> Gram:
-        """The kernel values between training rows (n, d), by default with the machine's gamma.
-
-        `most_threads` limits the threads of compiled code; 0 is no limit.
-        """
-        width = resolve_gamma(self.gamma if gamma is None else gamma, rows)
-        return Gram(rows, width, most_threads or threads())
-
     def problems(
         self, targets: Targets, masks: Tensor, C: Any = None, epsilon: Any = None
     ) -> Problems:
@@ -133,7 +120,7 @@ class KernelMachine(FittedModule, ABC):
         outputs, unit = len(targets.z), targets.unit
         C, epsilon = self.C if C is None else C, self.epsilon if epsilon is None else epsilon
         cap = inputs.per_output(C, "C", outputs).to(unit) / unit
-        tube = inputs.per_output(epsilon, "epsilon", outputs, inputs.not_negative).to(unit) / unit
+        tube = inputs.per_output(epsilon, "epsilon", outputs, or_zero=True).to(unit) / unit
         cap, tube, z = (x.repeat_interleave(len(masks), 0) for x in (cap, tube, targets.z))
         width = cap[:, None] * masks.repeat(outputs, 1)
         if targets.classes is None:
@@ -194,7 +181,9 @@ class KernelMachine(FittedModule, ABC):
             )
         beta = torch.zeros_like(problems.z)
         beta[:, self.support] = self.weights.T.to(beta) / unit[:, None]
-        return start_at(gram, problems, beta)
+        beta = feasible(problems, beta)
+        product = (beta.cpu() @ gram.matrix).to(beta)
+        return replace(at_zero(problems), beta=beta, product=product)
 
 
 class SVC(KernelMachine):
@@ -279,7 +268,7 @@ class SVR(KernelMachine):
 
     def own_state(self, targets: Targets) -> dict[str, Tensor]:
         """See `KernelMachine.own_state`."""
-        tube = inputs.per_output(self.epsilon, "epsilon", len(targets.y), inputs.not_negative)
+        tube = inputs.per_output(self.epsilon, "epsilon", len(targets.y), or_zero=True)
         return {"tube": tube, "squeeze": torch.tensor(targets.single)}
 
     def learn_on(self, x: Any, y: Any) -> Self:

@@ -37,12 +37,8 @@ def rbf(x: Tensor, s: Tensor, gamma: float) -> Tensor:
     return inner.add_((x * x).sum(1)[:, None]).clamp_min_(0).mul_(-gamma).exp_()
 
 
-def resolve_gamma(gamma: str | float, x: Tensor) -> float:
-    """The value of `gamma` for training rows x (n, d).
-
-    "scale" is 1 / (d var(x)) over the whole array, as in scikit-learn. SettingsError if `gamma` is
-    neither that nor a positive number.
-    """
+def _resolved(gamma: str | float, x: Tensor) -> float:
+    """The number that `gamma` is for training rows x (n, d)."""
     if gamma == "scale":
         variance = float(x.double().var(correction=0))
         return 1.0 / (x.shape[1] * variance) if variance > 0 else 1.0
@@ -52,14 +48,17 @@ def resolve_gamma(gamma: str | float, x: Tensor) -> float:
 
 
 class Gram:
-    """Kernel values between all pairs of n training rows, computed when first needed.
+    """Kernel values between all pairs of n training rows (n, d), computed when first needed.
 
-    Rows of the matrices are padded with finite numbers to whole vectors of compiled code.
+    Rows of the matrices are padded with finite numbers to whole vectors of compiled code. A `gamma`
+    of "scale" is 1 / (d var(x)) over the whole array, as in scikit-learn. SettingsError if it is
+    neither that nor a positive number. By default compiled code uses as many threads as torch.
     """
 
-    def __init__(self, rows: Tensor, gamma: float, threads: int = 1) -> None:
+    def __init__(self, rows: Tensor, gamma: str | float, most_threads: int = 0) -> None:
         """Values of the kernel among rows (n, d) in float64."""
-        self.rows, self.gamma, self.threads = rows, gamma, threads
+        self.rows, self.gamma = rows, _resolved(gamma, rows)
+        self.threads = most_threads or threads()
 
     def __len__(self) -> int:
         return len(self.rows)

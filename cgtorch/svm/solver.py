@@ -15,7 +15,6 @@ from cgtorch.svm.problems import (
     Problems,
     State,
     at_zero,
-    feasible,
     inside,
     middle_bias,
     relative_gap,
@@ -38,13 +37,6 @@ _OFF = 0.01  # relative duality gap of what has not been solved
 _STEPS = 12  # of Newton's method
 _ROUNDING = 0.8  # of the tolerance, by which a ridge may move residuals
 _SPARSE = 4  # where fewer than one coefficient in so many is not zero, the others are left out
-
-
-def start_at(gram: Gram, problems: Problems, beta: Tensor) -> State:
-    """A start at the feasible point nearest to coefficients (P, n)."""
-    beta = feasible(problems, beta)
-    product = (beta.cpu() @ gram.matrix).to(beta)
-    return replace(at_zero(problems), beta=beta, product=product)
 
 
 def solve(

@@ -1,6 +1,6 @@
 """What is plugged in is checked at the door, and the error says which method returned what."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -11,10 +11,10 @@ from reaching import unrepeatable
 from support import Counter, custom_actions, model, nested_actions, seeded, world
 from torch import Tensor
 
-from cgtorch.evolution import EvolutionSettings, Generation, evolve
+from cgtorch.evolution import EvolutionSettings, evolve
 from cgtorch.ground.dry_run import check_environment, repeats_itself
 from cgtorch.ground.environment import Environment, Lanes
-from cgtorch.ground.errors import ActionError, CgtorchError, ModelError, WorldError
+from cgtorch.ground.errors import ActionError, ModelError, WorldError
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
@@ -91,6 +91,10 @@ def test_what_is_no_number_twice_is_the_same() -> None:
     assert repeats_itself(type("Own", (Plain,), {"start": blind, "success": never})())
 
 
+def doubled(lanes: Lanes) -> Lanes:
+    return replace(lanes, percept=lanes.percept.double())
+
+
 def in_place(lanes: Lanes) -> Lanes:
     lanes.percept[:, 0] += 1
     return lanes
@@ -99,53 +103,25 @@ def in_place(lanes: Lanes) -> Lanes:
 @pytest.mark.parametrize(
     ("method", "result", "message"),
     [
-        (
-            "start",
-            lambda s: s.float(),
-            r"start returned a tensor \(2,\) of float32; return \(states",
-        ),
+        ("start", lambda s: s.float(), r"a tensor \(2,\) of float32; return \(states"),
         ("start", lambda s: (s[:, None], s), r"percepts as a tensor \(2,\) of int64; .* \(2, 2\)"),
-        (
-            "start",
-            lambda s: (s, torch.zeros(2, 2)),
-            r"states as a tensor \(2,\) of int64; .*\(2, S\)",
-        ),
-        (
-            "start",
-            lambda s: (s[:1, None], torch.zeros(1, 2)),
-            r"percepts as a tensor \(1, 2\) of float32; return a tensor \(2, 2\) of float32",
-        ),
-        (
-            "start",
-            lambda s: {}["x"],
-            r"Own.start raised KeyError: 'x' in line \d+ of test_dry_run.py, tried with",
-        ),
+        ("start", lambda s: (s, torch.zeros(2, 2)), r"states as a tensor \(2,\) of.*\(2, S\)"),
+        ("start", lambda s: (s[:1, None], torch.zeros(1, 2)), r"\(1, 2\) of float32; .*\(2, 2\)"),
+        ("start", lambda s: {}["x"], r"raised KeyError: 'x' in line \d+ of test_dry_run.py, tried"),
         ("step", lambda lanes, u: lanes, r"step returned a Lanes; return \(lanes, whether"),
-        (
-            "step",
-            lambda lanes, u: (lanes, u[:, 0]),
-            r"whether it could be done as a tensor \(2,\) of float32; return .* of bool",
-        ),
-        (
-            "step",
-            lambda lanes, u: (replace(lanes, percept=lanes.percept.double()), u[:, 0] < 1),
-            r"step returned lanes.percept as a tensor \(2, 2\) of float64; return .* float32",
-        ),
+        ("step", lambda lanes, u: (lanes, u[:, 0]), r"be done as a tensor \(2,\) .* of bool"),
+        ("step", lambda lanes, u: (doubled(lanes), u[:, 0] < 1), r"\(2, 2\) of float64; .*float32"),
         ("step", lambda lanes, u: (lanes.rows(ROWS[:1]), u[:, 0] < 1), r"as a tensor \(1, 2\)"),
         ("step", lambda lanes, u: (in_place(lanes), u[:, 0] < 1), "changed lanes.percept in place"),
         ("step", lambda lanes, u: u @ u, "Own.step raised RuntimeError.*tried with two rows"),
         ("observe", lambda lanes: lanes.percept, r"a tensor \(2, 2\) of float32 as lanes; return"),
-        ("observe", in_place, "Own.observe changed lanes.percept in place"),
+        ("observe", lambda lanes: in_place(lanes), "changed lanes.percept in place"),
         ("success", lambda lanes: 0.5, r"success returned a float; return \(lanes, prob"),
         ("success", lambda lanes: lanes.percept[:, 0], r"success returned a tensor \(2,\)"),
         ("success", lambda lanes: (in_place(lanes), lanes.percept[:, 0]), "changed lanes.percept"),
         ("success", lambda lanes: (lanes, lanes.percept), r"probabilities as a tensor \(2, 2\)"),
         ("success", lambda lanes: (lanes, lanes.has_message), r"\(2,\) of bool; return"),
-        (
-            "success",
-            lambda lanes: (lanes, 2 + lanes.percept[:, 0]),
-            r"success returned \[2.0, 3.0\]; return probabilities",
-        ),
+        ("success", lambda lanes: (lanes, 2 + lanes.percept[:, 0]), r"\[2.0, 3.0\]; return prob"),
     ],
 )
 def test_what_a_method_returns_wrongly_is_named(
@@ -183,13 +159,13 @@ def made(**changed: Any) -> ModelEnvironment:
         (
             "gamma",
             lambda p, u: (p[:, :6], p[:, 0]),
-            r"Γ returned next percepts as a tensor \(2, 6\) of float32; return a tensor \(2, 7\)",
+            r"percepts as a tensor \(2, 6\) .*\(2, 7\)",
         ),
         ("gamma", lambda p, u: (p.double(), p[:, 0]), r"\(2, 7\) of float64; return .* of float32"),
         (
             "gamma",
             lambda p, u: (p, p),
-            r"Γ returned novelty as a tensor \(2, 7\) .*return .*\(2,\)",
+            r"returned novelty as a tensor \(2, 7\) .*return .*\(2,\)",
         ),
         ("gamma", lambda p, u: p @ u, r"Γ raised RuntimeError.*tried with two rows"),
         ("classifier", lambda p: p > 0, r"C returned a tensor \(2, 7\) of bool; return .*\(2,\)"),
@@ -197,11 +173,7 @@ def made(**changed: Any) -> ModelEnvironment:
         ("possible", lambda p, u: p[:, 0], r"possible returned a tensor \(2,\) of float32; .*bool"),
         ("percepts", PERCEPTS[0], r"percepts are a tensor \(7,\) of float32; give .*\(B, D\)"),
         ("percepts", PERCEPTS.long(), r"percepts are a tensor \(5, 7\) of int64; give"),
-        (
-            "errors",
-            torch.zeros(5, 7),
-            r"errors of Γ are a tensor \(5, 7\) .*; give \(B, T, D\) for",
-        ),
+        ("errors", torch.zeros(5, 7), r"errors of Γ are a tensor \(5, 7\) .*; give \(B, T, D\)"),
         ("errors", torch.zeros(4, 2, 7), r"errors of Γ are a tensor \(4, 2, 7\)"),
         ("errors", torch.zeros(5, 0, 7), r"errors of Γ are a tensor \(5, 0, 7\)"),
         ("errors", torch.zeros(5, 2, 7).long(), r"\(5, 2, 7\) of int64; give"),
@@ -216,29 +188,20 @@ def test_models_are_tried_where_they_are_put_together(
     assert "\n" not in str(caught.value)
 
 
-def search(environment: Any, actions: Any) -> Iterator[Generation]:
-    return evolve(environment, actions, SETTINGS, seeded(0))
+class Silent(Counter):
+    """An action that returns no control."""
+
+    def forward(self, lanes: Lanes, parameters: Tensor, environment: Environment) -> Any:
+        return lanes
 
 
 def test_evolve_is_a_door() -> None:
     """Nothing is evaluated before what it is given has been tried."""
-
-    class Silent(Counter):
-        def forward(self, lanes: Lanes, parameters: Tensor, environment: Environment) -> Any:
-            return lanes
-
     bad = type("Own", (Plain,), {"success": lambda self, lanes: lanes.percept})()
-    cases: list[tuple[Any, Any, type[CgtorchError], str]] = [
-        (bad, paper_actions(), WorldError, "Own.success returned"),
-        (
-            model(0, 3),
-            paper_actions().extended(["Silent"], [Silent()]),
-            ActionError,
-            "action 'Silent': forward returned a Lanes",
-        ),
-    ]
-    for environment, actions, error, message in cases:
-        with pytest.raises(error, match=message):
-            next(search(environment, actions))
+    silent = paper_actions().extended(["Silent"], [Silent()])
+    with pytest.raises(WorldError, match=r"Own\.success returned"):
+        next(evolve(bad, paper_actions(), SETTINGS, seeded(0)))
+    with pytest.raises(ActionError, match="action 'Silent': forward returned a Lanes"):
+        next(evolve(model(0, 3), silent, SETTINGS, seeded(0)))
     for actions in (custom_actions(), nested_actions()):
-        next(search(model(0, 3), actions))
+        next(evolve(model(0, 3), actions, SETTINGS, seeded(0)))

@@ -7,6 +7,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from support import seeded
 
 from cgtorch.ground.errors import DomainError
 from cgtorch.ground.fields import (
@@ -21,7 +22,6 @@ from cgtorch.ground.fields import (
 )
 
 KIND = st.sampled_from(KINDS)
-FINITE = st.floats(-1e6, 1e6)
 
 
 @given(st.lists(KIND, max_size=8))
@@ -32,7 +32,7 @@ def test_every_field_is_in_the_columns_of_its_kind_and_of_no_other(kinds: list[s
     assert all(fields[i].kind == kind for kind, found in columns.items() for i in found)
 
 
-@given(st.floats(-1e4, 1e4))
+@given(st.floats(-1e4, 1e4) | st.sampled_from([math.pi, -math.pi, 0.0]))
 def test_a_wrapped_angle_points_the_same_way_within_one_turn(angle: float) -> None:
     exact = torch.tensor(angle, dtype=torch.float64)
     found = wrapped(exact)
@@ -41,19 +41,12 @@ def test_a_wrapped_angle_points_the_same_way_within_one_turn(angle: float) -> No
     assert float(found.sin()) == pytest.approx(math.sin(angle), abs=1e-9)
 
 
-def test_half_a_turn_is_minus_half_a_turn() -> None:
-    assert wrapped(torch.tensor([math.pi], dtype=torch.float64)).tolist() == [-math.pi]
-    assert wrapped(torch.zeros(2)).tolist() == [0, 0]
-
-
 @given(st.lists(KIND, min_size=1, max_size=6), st.integers(0, 4), st.integers(0, 2**31))
 def test_angles_are_seen_by_sine_and_cosine_and_all_else_as_it_is(
     kinds: list[str], rows: int, seed: int
 ) -> None:
     fields = [Field(str(i), kind=kind) for i, kind in enumerate(kinds)]
-    values = 9 * torch.randn(
-        rows, len(kinds), generator=torch.Generator().manual_seed(seed), dtype=torch.float64
-    )
+    values = 9 * torch.randn(rows, len(kinds), generator=seeded(seed), dtype=torch.float64)
     found = as_features(values, fields)
     angles = columns_of(fields, "angle")
     others = [i for i in range(len(kinds)) if i not in angles]
@@ -68,34 +61,18 @@ def test_angles_are_seen_by_sine_and_cosine_and_all_else_as_it_is(
     assert torch.equal(as_features(values.expand(2, -1, -1), fields)[1], found)
 
 
-@given(st.lists(st.tuples(FINITE, FINITE).filter(lambda b: b[0] != b[1]), max_size=5))
-def test_bounds(bounds: list[tuple[float, float]]) -> None:
-    fields = [Field("x", low=min(b), high=max(b)) for b in bounds]
-    low, high = bounds_of(fields)
-    assert low.tolist() == pytest.approx([min(b) for b in bounds])
-    assert high.tolist() == pytest.approx([max(b) for b in bounds])
-
-
-def test_no_bounds_are_infinite() -> None:
-    low, high = bounds_of([Field("x")])
-    assert (low.item(), high.item()) == (-math.inf, math.inf)
-
-
-def test_named_fields_differ_in_their_names_only() -> None:
-    assert named("x", "y", unit="m", low=-1, high=2) == (
-        Field("x", "m", -1, 2),
-        Field("y", "m", -1, 2),
-    )
+def test_named_fields_differ_in_their_names_and_have_bounds_if_given() -> None:
+    given = named("x", "y", unit="m", low=-1, high=2)
+    assert given == (Field("x", "m", -1, 2), Field("y", "m", -1, 2))
     assert named() == ()
+    bounds = torch.stack(bounds_of([*given, Field("z")]))
+    assert bounds.tolist() == [[-1, -1, -math.inf], [2, 2, math.inf]]
 
 
 @pytest.mark.parametrize("bounds", [(1.0, 1.0), (2.0, -2.0), (0.0, math.nan), (math.nan, 1.0)])
-def test_bounds_that_are_none_are_refused(bounds: tuple[float, float]) -> None:
+def test_bounds_and_kinds_that_are_none_are_refused(bounds: tuple[float, float]) -> None:
     with pytest.raises(DomainError, match=r"field 'wind' lies between .*; give a range"):
         Field("wind", "m", *bounds)
-
-
-def test_an_unknown_kind_is_refused() -> None:
     with pytest.raises(DomainError, match="of kind 'color'; use one of number, angle, discrete"):
         Field("hue", kind="color")
 

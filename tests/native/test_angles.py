@@ -26,7 +26,7 @@ void angles(const real *y, const real *x, real *out, int64_t n) {
 }
 """
 TYPES = {"float": np.float32, "double": np.float64}
-COUNT = 4096
+COUNT = 1024
 
 
 def targets():
@@ -37,8 +37,9 @@ def targets():
     return {"own": compiler.own_target("cc"), **{name: compiler.TARGETS[name] for name in runs}}
 
 
-def address(numbers):
-    return ctypes.c_void_p(numbers.ctypes.data)
+@pytest.fixture(scope="module", params=TYPES)
+def real(request):
+    return request.param
 
 
 class Functions:
@@ -47,22 +48,29 @@ class Functions:
     def __init__(self, folder: Path, real: str, name: str):
         source, library = folder / "angles.c", folder / f"{real}-{name}.so"
         source.write_text(SOURCE)
-        command = compiler._command(real, "cc", targets()[name])
-        sources = f"-I{compiler.SOURCES}"
-        subprocess.run(
-            [*command, sources, "-Wno-psabi", "-shared", source, "-o", library, "-lm"], check=True
-        )
+        command = [*compiler._command(real, "cc", targets()[name]), f"-I{compiler.SOURCES}"]
+        rest = ["-Wno-psabi", "-shared", str(source), "-o", str(library), "-lm"]
+        subprocess.run([*command, *rest], check=True)
         self.library = ctypes.CDLL(str(library))
+
+    def called(self, name, *arrays):
+        places = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
+        getattr(self.library, name)(*places, ctypes.c_int64(len(arrays[0])))
 
     def sines(self, x):
         sine, cosine = np.empty((2, len(x)), x.dtype)
-        self.library.sines(*map(address, (x, sine, cosine)), ctypes.c_int64(len(x)))
+        self.called("sines", x, sine, cosine)
         return sine, cosine
 
     def angles(self, y, x):
         out = np.empty_like(x)
-        self.library.angles(*map(address, (y, x, out)), ctypes.c_int64(len(x)))
+        self.called("angles", y, x, out)
         return out
+
+
+@pytest.fixture(scope="module")
+def functions(tmp_path_factory, real):
+    return Functions(tmp_path_factory.mktemp("angles"), real, "own")
 
 
 def spread(real, low, high):
@@ -72,9 +80,8 @@ def spread(real, low, high):
     return (size * random.choice([-1, 1], COUNT)).astype(TYPES[real])
 
 
-@pytest.mark.parametrize("real", TYPES)
-def test_sines_are_those_of_exact_arithmetic_however_large_the_angle(real, tmp_path):
-    functions, digits = Functions(tmp_path, real, "own"), np.finfo(TYPES[real]).eps
+def test_sines_are_those_of_exact_arithmetic_however_large_the_angle(real, functions):
+    digits = np.finfo(TYPES[real]).eps
     with mpmath.workprec(1300):
         for most in (3, 38 if real == "float" else 307):
             x = spread(real, -3, most)
@@ -86,17 +93,15 @@ def test_sines_are_those_of_exact_arithmetic_however_large_the_angle(real, tmp_p
                 assert np.abs(found.astype(float) / wanted - 1)[far].max() < 2.2 * digits
 
 
-@pytest.mark.parametrize("real", TYPES)
-def test_angles_are_those_of_numpy(real, tmp_path):
-    functions, digits = Functions(tmp_path, real, "own"), np.finfo(TYPES[real]).eps
+def test_angles_are_those_of_numpy(real, functions):
+    digits = np.finfo(TYPES[real]).eps
     y, x = spread(real, -6, 6), np.roll(spread(real, -6, 6), 1)
     wanted = np.arctan2(y.astype(np.longdouble), x.astype(np.longdouble))
     assert np.abs(functions.angles(y, x) / wanted - 1).max() < 2 * digits
 
 
-@pytest.mark.parametrize("real", TYPES)
-def test_angles_of_zeros_have_their_signs_and_what_is_not_finite_has_none(real, tmp_path):
-    functions, kind = Functions(tmp_path, real, "own"), TYPES[real]
+def test_angles_of_zeros_have_their_signs_and_what_is_not_finite_has_none(real, functions):
+    kind = TYPES[real]
     y = np.array([0, -0.0, 0, -0.0, 1, -1, 0, np.nan, 1, np.inf, 1, 2] + [1] * 4, kind)
     x = np.array([1, 1, -1, -1, 0, 0, 0, 1, np.nan, 1, np.inf, 2] + [1] * 4, kind)
     found = functions.angles(y, x)
@@ -108,7 +113,6 @@ def test_angles_of_zeros_have_their_signs_and_what_is_not_finite_has_none(real, 
     assert np.isnan(np.stack(functions.sines(not_finite))[:, :3]).all()
 
 
-@pytest.mark.parametrize("real", TYPES)
 def test_all_cpus_make_the_same_bits(real, tmp_path):
     x, y = spread(real, -3, 30), spread(real, -6, 6)
     found = []

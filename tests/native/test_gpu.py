@@ -61,7 +61,7 @@ def test_what_does_not_compile_is_told(tmp_path: Path) -> None:
 
 def test_machine_code_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    module = modules()["kernel"]
+    module = modules()["selection"]
     first = gpu.machine_code(module, "sm_90")
     (kept,) = (tmp_path / "cgtorch").iterdir()
     assert kept.read_bytes() == first

@@ -118,17 +118,6 @@ def test_solutions_are_those_of_plain_smo(seed, n, gamma, epsilon, duplicates):
     assert float((value * free.any(1, keepdim=True)).abs().max()) < 0.05
 
 
-def test_large_problems_agree_with_plain_smo():
-    x = rows(1, 500)
-    problems, gram = dual_problems(wave(x, 3.0) + 0.2 * noise(500), 5.0, 0.1), Gram(x, 0.5)
-    found = solve(gram, problems)
-    slow = smo_steps(gram.matrix, problems, at_zero(problems), 1e-7, 10**6)
-    assert float(slow.violation) <= 1e-7
-    value = slow.product + slow.bias - found.product - found.bias
-    assert float(value.abs().max()) < 1e-4
-    assert abs(float(slow.bias - found.bias)) < 1e-4
-
-
 @given(seed=st.integers(0, 10**6), exponent=st.integers(-3, 6))
 @settings(max_examples=20)
 def test_held_out_rows_stay_out(seed, exponent):
@@ -147,7 +136,7 @@ def test_held_out_rows_stay_out(seed, exponent):
 @pytest.mark.parametrize("epsilon", [None, 0.02])
 def test_problems_larger_than_a_set_are_solved(epsilon):
     x = rows(1, 1500)
-    problems, gram = all_folds(x, epsilon, folds=2, frequency=9.0), Gram(x, 0.5, threads=2)
+    problems, gram = all_folds(x, epsilon, folds=2, frequency=9.0), Gram(x, 0.5, 2)
     found = rising(gram, problems, 1e-3)
     assert float(found.violation.max()) < 1e-3
     free = (found.beta > problems.lower) & (found.beta < problems.upper) & (found.beta != 0)
@@ -160,7 +149,7 @@ def test_problems_larger_than_a_set_are_solved(epsilon):
 def test_threads_change_nothing():
     x = rows(2, 301)
     problems = all_folds(x, 0.05, folds=5)
-    grams = [Gram(x, 0.3, threads=threads) for threads in (1, 2, 7)]
+    grams = [Gram(x, 0.3, threads) for threads in (1, 2, 7)]
     found = [rising(gram, problems, 1e-3) for gram in grams]
     for other in found[1:]:
         for name, value in vars(other).items():
@@ -296,16 +285,13 @@ def test_violation_is_the_distance_from_what_coefficients_allow():
         assert float(violation(problems, beta, residual)) == far
 
 
-@given(
-    seed=st.integers(0, 10**6), exponent=st.integers(-2, 7), epsilon=st.sampled_from([None, 0.05])
-)
+@given(st.integers(0, 10**6), st.integers(-2, 7), st.sampled_from([None, 0.05]))
+@settings(max_examples=25)
 def test_a_rough_solution_becomes_an_optimal_one(seed, exponent, epsilon):
     x = rows(seed, 60)
     weight = (torch.arange(60) % 3 != torch.arange(3)[:, None]).double()
-    problems, kernel = (
-        dual_problems(wave(x), 2.0**exponent * ones(3), epsilon, weight),
-        Gram(x, 0.5).matrix,
-    )
+    problems = dual_problems(wave(x), 2.0**exponent * ones(3), epsilon, weight)
+    kernel = Gram(x, 0.5).matrix
     best = smo_steps(kernel, problems, at_zero(problems), 1e-7, 10**6)
     rough = torch.where(best.beta.abs() < 0.02 * problems.cap[:, None], 0.0, best.beta)
     start = State(rough, rough @ kernel, best.bias, best.violation)

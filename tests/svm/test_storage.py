@@ -14,7 +14,7 @@ from stand_in import labelled, transitions
 from torch import nn
 
 from cgtorch.ground.errors import ModelError
-from cgtorch.ground.files import tensors_of
+from cgtorch.ground.files import notes_of, tensors_of
 from cgtorch.svm import SVC, SVR, Choice, load_model, save_model
 from cgtorch.svm.storage import MACHINES, load_model_and_report
 
@@ -99,20 +99,19 @@ def test_a_failed_save_leaves_the_old_file(model_file, tmp_path, monkeypatch):
     assert len(list(tmp_path.iterdir())) == 1
     with pytest.raises(ModelError, match="cannot write"):
         save_model(tmp_path / "nowhere" / "scaled", model)
-
-
-def test_what_cannot_be_saved_is_refused(tmp_path):
     with pytest.raises(ModelError, match="fitted"):
-        save_model(tmp_path / "m", SVC())
+        save_model(path, SVC())
+
+
+def headed(tensors, data):
+    """A safetensors file whose header may say anything of its tensors."""
+    text = json.dumps(tensors).encode()
+    return len(text).to_bytes(8, "little") + text + data
 
 
 def _rewritten(path, target, change_state=None, **header):
     """A copy of the file with other tensors or header entries."""
-    from safetensors import safe_open
-
-    with safe_open(path, framework="pt") as file:
-        old = json.loads(file.metadata()["cgtorch"])
-    state = load_file(path)
+    old, state = json.loads(notes_of(path.read_bytes())["cgtorch"]), load_file(path)
     if change_state:
         change_state(state)
     save_file(state, target, metadata={"cgtorch": json.dumps(old | header)})
@@ -163,19 +162,15 @@ def test_foreign_tensors_are_refused(model_file, tmp_path, name, change, says):
 
 
 def test_files_that_are_no_models_are_refused(tmp_path):
-    with pytest.raises(ModelError, match="cannot read"):
-        load_model(tmp_path / "missing")
-    with pytest.raises(ModelError):
-        load_model(tmp_path)
+    for path in (tmp_path, tmp_path / "missing"):
+        with pytest.raises(ModelError, match="cannot read"):
+            load_model(path)
     for content in (b"", b"\x00" * 8, b"\xff" * 64, pickle.dumps({"a": 1}), b"{}"):
         (tmp_path / "m").write_bytes(content)
         with pytest.raises(ModelError):
             load_model(tmp_path / "m", KINDS)
-
-
-def test_a_huge_file_is_refused_unread(tmp_path):
     with (tmp_path / "m").open("wb") as file:
-        file.truncate(2 * 1024**3)
+        file.truncate(2 * 1024**3)  # which is not read
     with pytest.raises(ModelError, match="larger than"):
         load_model(tmp_path / "m", KINDS)
 
@@ -183,10 +178,8 @@ def test_a_huge_file_is_refused_unread(tmp_path):
 def test_a_file_is_read_once(model_file, monkeypatch):
     opened, plain = [], Path.open
     monkeypatch.setattr(Path, "open", lambda p, *a, **k: opened.append(p) or plain(p, *a, **k))
-    model, report = load_model_and_report(model_file[0], KINDS)
+    load_model(model_file[0], KINDS)
     assert opened == [model_file[0]]
-    assert report == asdict(REPORT)
-    assert torch.equal(model.machine.weights, model_file[1].machine.weights)
 
 
 @pytest.mark.parametrize("shape", [[2**40, 0], [2**20, 2**20], [2**62, 2**62]])
@@ -196,14 +189,11 @@ def test_a_file_cannot_ask_for_more_memory_than_it_is_large(model_file, tmp_path
     length = int.from_bytes(content[:8], "little")
     tensors = json.loads(content[8 : 8 + length])
     tensors["machine.centres"]["shape"] = shape
-    text = json.dumps(tensors).encode()
-    head = len(text).to_bytes(8, "little") + text
-    (tmp_path / "m").write_bytes(head + content[8 + length :])
-    with pytest.raises(ModelError):
-        load_model(tmp_path / "m", KINDS)
-    (tmp_path / "m").write_bytes((2**60).to_bytes(8, "little") + content[8:])
-    with pytest.raises(ModelError):
-        load_model(tmp_path / "m", KINDS)
+    changed = headed(tensors, content[8 + length :])
+    for wrong in (changed, (2**60).to_bytes(8, "little") + content[8:]):
+        (tmp_path / "m").write_bytes(wrong)
+        with pytest.raises(ModelError):
+            load_model(tmp_path / "m", KINDS)
 
 
 def test_outputs_that_are_none_are_refused(tmp_path):
@@ -236,13 +226,6 @@ def test_damage_never_escapes_as_another_error(model_file, tmp_path, data):
         assert model(torch.randn(5, 10)).shape == (5, 7)
 
 
-def safetensors(dtype, shape, size):
-    """A file of one tensor whose header may say anything."""
-    header = {"x": {"dtype": dtype, "shape": shape, "data_offsets": [0, size]}}
-    text = json.dumps(header).encode()
-    return len(text).to_bytes(8, "little") + text + bytes(size)
-
-
 @pytest.mark.parametrize(
     ("dtype", "shape", "size"),
     [
@@ -256,7 +239,8 @@ def safetensors(dtype, shape, size):
     ],
 )
 def test_types_and_shapes_that_torch_lacks_are_one_line(tmp_path, dtype, shape, size):
-    data = safetensors(dtype, shape, size)
+    tensors = {"x": {"dtype": dtype, "shape": shape, "data_offsets": [0, size]}}
+    data = headed(tensors, bytes(size))
     with pytest.raises(ValueError) as caught:  # noqa: PT011
         tensors_of(data)
     assert len(str(caught.value).splitlines()) == 1
