@@ -132,10 +132,9 @@ def next_state(
 ) -> EvolutionState:
     """`tell` without validation: neither fitness nor scores may contain NaN.
 
-    With lineages, structure and parameters take turns (`cgtorch.evolution.lineages`). While
-    lineages are running, the population consists of samples of them. Otherwise it consists
-    alternately of random graphs, and of children of all parents: children inherit what lineages
-    have tuned, so they may inherit a local optimum as well; random graphs do not.
+    While lineages are running (`cgtorch.evolution.lineages`), the population consists of samples of
+    them. Between, it consists alternately of random graphs and of children, which may inherit a
+    local optimum with what lineages have tuned.
     """
     parents, lineages = evaluated, state.lineages
     if settings.lineages:

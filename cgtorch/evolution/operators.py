@@ -73,8 +73,7 @@ def offspring(
         parents: (2 Q,) long, the first parents of all pairs, then the second ones.
         actions: What nodes can do.
         generator: The generator of all random choices.
-        capacity: The largest number of nodes of a child. Children have only as many slots as the
-            largest child may need.
+        capacity: The largest number of nodes of a child.
         tau: The variance of the drift in eq. 2.
         size: Number of individuals to return, E + 2 Q by default; it does not change them.
 
@@ -95,12 +94,11 @@ def breed(
     actions: ActionSet | None,
     capacity: int,
 ) -> tuple[Graphs, Tensor, list[int]]:
-    """The elite (E,) and children of parents (2 Q,), before parameters are copied.
+    """The elite (E,) and children of parents (2 Q,), with origins in place of parameters.
 
     Without actions, children are not mutated. `keys` determine the random numbers of pairs and of
-    children. Returned are graphs with origins in place of parameters
-    (`cgtorch.evolution.operators_in_torch`), the strategies (E + 2 Q, S) of elite and parents, and
-    the offsets of `with_new_origins`.
+    children. The strategies (E + 2 Q, S) of elite and parents, and the offsets of
+    `with_new_origins`, are returned, too.
     """
     graphs, slots = population.graphs, min(population.graphs.capacity + 1, capacity)
     fast = compiled.takes(graphs, graphs.parameters, slots)
@@ -143,16 +141,9 @@ def perturb_parameters(
 ) -> Population:
     """P graphs with their parameters, some perturbed by Gaussian steps, and strategies after eq. 2.
 
-    Args:
-        graphs: P graphs with origins in place of parameters.
-        first: CSR offsets (A + 1,) of new nodes by action (`with_new_origins`).
-        old: (P', N, K) parameters of the parents.
-        actions: What nodes can do. They draw the parameters of new nodes; those with origin 0 get
-            standard normal ones.
-        strategy: (P or more, S).
-        same: The number of individuals at the beginning that stay as they are.
-        generator: The generator of all random choices.
-        tau: The variance of the drift in eq. 2.
+    The graphs carry origins, of which those of new nodes begin at `first` (A + 1,) for each action
+    (`with_new_origins`). `old` (P', N, K) are the parameters of the parents; actions draw those of
+    new nodes. The first `same` individuals, with `strategy` (P or more, S), stay as they are.
     """
     fresh = old.new_zeros(first[-1], old.shape[2])
     for module, begin, end in zip(actions.actions, first, first[1:], strict=False):

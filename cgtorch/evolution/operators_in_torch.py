@@ -71,14 +71,9 @@ def with_origins(graphs: Graphs) -> Graphs:
 
 
 def swapped(graphs: Graphs, parents: Tensor, rates: Tensor, key: int, width: int) -> Graphs:
-    """Children (2 Q) of Q pairs, with origins in place of parameters, in their first slots.
+    """Children of pairs of parents (2 Q,) with strategies `rates` (2 Q, S), in their first slots.
 
-    Args:
-        graphs: The P graphs of the population.
-        parents: (2 Q,) long, the first parents of all pairs, then the second ones.
-        rates: (2 Q, S) float32 strategies of the parents.
-        key: Determines all random numbers.
-        width: An upper bound of the number of nodes of a parent.
+    The key determines all random numbers; no parent has more than `width` nodes.
     """
     q, (_, n, o) = len(parents) // 2, graphs.edges.shape
     both = compacted(with_origins(graphs)[parents])
@@ -167,15 +162,9 @@ def graft(
 
 
 def restructured(graphs: Graphs, rates: Tensor, key: int, actions: ActionSet, slots: int) -> Graphs:
-    """The graphs after all mutations of nodes and edges in turn, with unreachable nodes pruned.
+    """P graphs of so many slots after all mutations of nodes and edges in turn, pruned.
 
-    Args:
-        graphs: P graphs with origins in place of parameters; new
-            nodes get origin 0. Nodes are in the first slots, before and after.
-        rates: (P, S) float32 strategies.
-        key: Determines all random numbers.
-        actions: What nodes can do.
-        slots: Number of slots of the result.
+    Nodes are in the first slots, before and after; new ones have origin 0. `rates` are (P, S).
     """
     o, rate = graphs.edges.shape[2], dict(zip(STRATEGY, rates.unbind(1), strict=True))
     # To add, to delete, to move the start; to replace, to change, and heads of all edges.

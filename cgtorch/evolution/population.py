@@ -176,11 +176,9 @@ def varied_graphs(
 ) -> Graphs:
     """Random graphs of as many kinds as possible, for small populations; see `random_graphs`.
 
-    If every evaluation is an episode of the world, few graphs can be tried, and most random ones
-    are not worth it. A policy that acts for a whole episode is a loop, and a node outside the loop
-    is idle. So many graphs are drawn, and those are preferred whose nodes can all reach each other.
-    The first graph of each kind comes before the second of any. The kind of a graph is the sorted
-    list of its nodes' actions.
+    A policy that acts for a whole episode is a loop, and a node outside the loop is idle. So those
+    graphs are preferred whose nodes can all reach each other. The first of each kind, which is the
+    sorted list of its nodes' actions, comes before the second of any.
     """
     drawn = random_graphs(DRAWN * size, actions, capacity, initial_nodes, generator)
     _, kind = drawn.action.sort(1).values.unique(dim=0, return_inverse=True)

@@ -80,19 +80,14 @@ def tournament(rounds: int = 5) -> Selection:
 def lexicase(order: Tensor, scores: Tensor, count: int, generator: Generator) -> Tensor:
     """Epsilon-lexicase selection: parents that are among the best on random scenarios in turn.
 
-    For each parent, the scenarios are visited in random order. On each, only those candidates
-    remain whose score is at most one median absolute deviation below the best. A random candidate
-    of those that remain at the end is the parent. So an individual that alone solves a hard
-    scenario has children, even if it solves little else (La Cava et al. 2016).
+    For each parent, the scenarios of `scores` (P, B) are visited in random order. On each, only
+    those candidates remain whose score is at most one median absolute deviation below the best. A
+    random candidate of those that remain at the end is the parent. So an individual that alone
+    solves a hard scenario has children, even if it solves little else (La Cava et al. 2016).
 
     A population of more than `MOST_CANDIDATES` is split at random into equal groups. Each group
-    gives equally many parents, so time and memory grow linearly with the population.
-
-    Args:
-        order: (P,) individuals from best to worst; only their number is used.
-        scores: (P, B), where more is better.
-        count: Number of parents.
-        generator: The generator of all random choices.
+    gives equally many parents, so time and memory grow linearly with the population. Of `order`
+    (P,), only the length is used.
     """
     groups, device = -(-len(order) // MOST_CANDIDATES), scores.device
     if groups == 1:

@@ -1,9 +1,8 @@
 """The result of an evolution so far, and journals, by which an interrupted stage resumes.
 
-All results depend on seeds alone, so a repeated stage gives the same results. A journal stores the
-result of each long step, in order, with the state of the random numbers after it. A repeated stage
-reads these results instead of computing them, and computes from where the journal ends. For an
-evolution in progress, the journal also stores a checkpoint.
+A journal stores the result of each long step, in order, with the state of the random numbers after
+it, and a checkpoint of an evolution in progress. As all results depend on seeds alone, a repeated
+stage reads these instead of computing them, and goes on from where the journal ends.
 """
 
 from collections.abc import Callable, Sequence

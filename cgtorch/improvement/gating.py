@@ -1,10 +1,9 @@
 """Gating: branching nodes, trained by gradient, send each scenario to a member that solves it.
 
-The nodes choose one member after the other. Node j takes a scenario with probability p_j =
-sigmoid(SHARPNESS (o_1 - o_2)) of its two outputs, and otherwise the next node decides; the last
-member takes the rest. The loss of a scenario is the negative log-probability that it reaches a
-member that solves it, as in hierarchical mixtures of experts (Jordan & Jacobs, Neural Computation
-6, 1994).
+Node j takes a scenario for its member with probability sigmoid(SHARPNESS (o_1 - o_2)) of its two
+outputs, else the next node decides; the last member takes the rest. The loss is the negative
+log-probability that a scenario reaches a member that solves it, as in hierarchical mixtures of
+experts (Jordan & Jacobs, Neural Computation 6, 1994).
 """
 
 import math
@@ -132,13 +131,7 @@ def _unscaled(branch: BranchingNN, parameters: Tensor, centre: Tensor, scale: Te
 
 
 def gradient_in_torch(branch: BranchingNN, solves: Tensor, weight: Tensor) -> Gradient:
-    """The gradient by automatic differentiation.
-
-    Args:
-        branch: The action of the nodes, with K parameters.
-        solves: (B, M) how reliably each member solves each scenario, in [0, 1].
-        weight: (B,) the weight of each scenario.
-    """
+    """The gradient by automatic differentiation; for (B, M) and (B,) see `train_gating`."""
     log_solves, share = solves.clamp_min(IMPOSSIBLE).log(), _shares(weight)
 
     def gradient(parameters: Tensor, percepts: Tensor) -> Tensor:

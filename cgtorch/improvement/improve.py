@@ -140,8 +140,8 @@ def _begun(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> S
 def _looks(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> tuple[S, Tensor]:
     """Fresh scenarios to practise on in the models, and first percepts of the tests and of these.
 
-    A robot would need somebody to arrange a scene for each look, so percepts of the data stand for
-    them. So they do if the budget has no looks left. BudgetSpentError if the tests need some.
+    Percepts of the data stand for looks of a robot, which would need a scene for each, and for
+    those that the budget does not cover. BudgetSpentError if the tests need some.
     """
     if not setup.live:
         looks = draw(setup.looks, setup.generator)
@@ -232,9 +232,7 @@ def _wanted(setup: Setup[S], state: StageState[S]) -> int:
 def without_chance(setup: Setup[S], state: StageState[S]) -> StageState[S]:
     """The state, which does not count on repetition any more if what was solved is chance.
 
-    Noise is part of a scenario, so a skill can be chosen for lucky numbers that nobody foresees.
-    If under other noise it solves significantly less than `SAME` of what it has solved, a scenario
-    that was solved is no fact.
+    It is if under other noise the skill solves significantly less than `SAME` of it.
     """
     rows = state.keep.nonzero()[:, 0]
     if not (state.repeats and setup.noisy) or state.current is None or not len(rows):
@@ -293,11 +291,7 @@ def _on_rest(
 
 
 def _with_current(state: StageState[S]) -> StageState[S]:
-    """The state with the skill that acts as a member, which solves all of W.
-
-    Where gating networks over specialists lose some of W, they need to learn only what goes to
-    somebody else.
-    """
+    """The state with the skill that acts, which solves all of W, as a member."""
     current = state.current
     if current is None or any(member is current.skill for member in state.members):
         return state
