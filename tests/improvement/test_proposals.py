@@ -5,9 +5,12 @@ from typing import Any
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from members import nearly
 from reaching import unrepeatable, world_of
 from support import seeded
+from torch import Tensor
 from watched import (
     NONE,
     first_stage,
@@ -22,7 +25,15 @@ from watched import (
 from cgtorch.ground.asked import Purse
 from cgtorch.improvement import team
 from cgtorch.improvement.events import Practised
-from cgtorch.improvement.team import REFLECT, WORTH, Candidate
+from cgtorch.improvement.team import (
+    CLEAR,
+    ERRORS,
+    MOST_WORSE,
+    REFLECT,
+    WORTH,
+    Candidate,
+    no_worse,
+)
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios
 
@@ -97,3 +108,58 @@ def test_where_the_world_repeats_itself_one_candidate_is_enough(
     _, after = team.proposed(stage_of(without_models(max_transitions=6)), state)
     assert after.number == 1
     assert left == [BEST]
+
+
+SHARE = st.sampled_from([0.0, 0.25, 0.5, 0.75, 1.0])
+
+
+def decided(old: list[float], new: list[float], keep: list[int]) -> bool:
+    return no_worse(torch.tensor(old), torch.tensor(new), torch.tensor(keep) > 0)
+
+
+def test_who_loses_much_of_w_is_not_taken_however_much_it_gains() -> None:
+    for n in (1, 2, 5, 40):
+        old, keep = [1.0] * n + [0.0] * 9 * n, [1] * n + [0] * 9 * n
+        assert decided(old, [1.0] * 10 * n, keep)
+        all_lose = [0.75] * n + [1.0] * 9 * n
+        some_lose = [0.5 if i % 3 == 0 else 1.0 for i in range(n)] + [1.0] * 9 * n
+        assert not decided(old, all_lose, keep)
+        assert not decided(old, some_lose, keep)
+
+
+def test_who_loses_a_little_of_w_is_taken_if_that_may_be_chance() -> None:
+    """One of forty: the mean loss is as large as its standard error, and less than 5 %."""
+    old, keep = [1.0] * 40 + [0.0] * 40, [1] * 40 + [0] * 40
+    assert decided(old, [0.0] + [1.0] * 79, keep)
+    # As much from all of them is no chance.
+    assert not decided(old, [1 - 1 / 40] * 40 + [1.0] * 40, keep)
+
+
+def plainly(old: Tensor, new: Tensor, keep: Tensor) -> bool:
+    """The rule in so many words."""
+
+    def mean(values: list[float]) -> float:
+        return sum(values) / len(values)
+
+    def error(values: list[float]) -> float:
+        return (mean([(x - mean(values)) ** 2 for x in values]) / len(values)) ** 0.5
+
+    rows = range(len(keep))
+    change = [float(new[i] - old[i]) for i in rows]
+    inside = [change[i] for i in rows if keep[i]]
+    outside = [change[i] for i in rows if not keep[i]]
+    if inside and mean(inside) < -min(ERRORS * error(inside), MOST_WORSE) - 1e-6:
+        return False
+    return sum(outside) > 0 and mean(change) > CLEAR * error(change)
+
+
+@given(st.lists(st.tuples(SHARE, SHARE, st.booleans()), min_size=1, max_size=30))
+def test_the_rule_is_what_it_is_said_to_be(rows: list[tuple[float, float, bool]]) -> None:
+    old, new, keep = (torch.tensor([row[i] for row in rows]) for i in range(3))
+    found = no_worse(old, new, keep.bool())
+    assert found == plainly(old, new, keep.bool())
+    change = new - old
+    assert not found or (change[~keep.bool()].sum() > 0 and change.sum() > 0)
+    enough = float(change.mean())
+    assert no_worse(old, new, keep.bool(), enough - 0.01) is found
+    assert not no_worse(old, new, keep.bool(), enough + 0.01)

@@ -1,43 +1,34 @@
 """The team of a stage: who is evolved, on what, who is chosen, and who is blamed for a failure."""
 
-import itertools
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from members import nearly
-from reaching import in_the_world, world_of
-from support import random_graphs, seeded
+from reaching import world_of
+from support import seeded
 from torch import Tensor
-from watched import along, first_stage, of_kind, stage_of, state_of, without_models
+from watched import stage_of, state_of, without_models
 
-from cgtorch.evolution import Population, initial_strategy
 from cgtorch.ground.asked import Asked
 from cgtorch.ground.environment import Dataset
-from cgtorch.improvement import specialists, team
-from cgtorch.improvement.checkpoint import Found
+from cgtorch.improvement import team
 from cgtorch.improvement.compose import branching_action
-from cgtorch.improvement.events import GenerationDone
-from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Budget
 from cgtorch.improvement.team import (
     BLAME,
     FEW,
     FEWEST,
-    OTHERS,
     RELIABLE,
     STEPS,
     Candidate,
     composed,
     shares,
-    with_member,
 )
 from cgtorch.improvement.trial import Trial, first_percepts, try_skill
 from cgtorch.tabletop.actions import paper_actions
-from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
+from cgtorch.tabletop.world import random_scenarios
 
 ACTIONS = paper_actions()
 BRANCH = branching_action(ACTIONS)[1]
@@ -144,75 +135,6 @@ def test_who_was_sent_there_is_blamed(seed: int, count: int, rows: int) -> None:
     assert torch.equal(unknown.trust, state.trust)
 
 
-@given(st.integers(0, 9), st.integers(0, 30), st.integers(1, 4), st.integers(1, 20))
-def test_few_missed_scenarios_are_joined_by_solved_ones(
-    missed: int, solved: int, replicas: int, group: int
-) -> None:
-    """A specialist that sees two scenarios only would learn them by heart."""
-    missed = missed + 1
-    told: dict[str, Any] = {}
-
-    def imagine(models: None, scenarios: Scenarios, percepts: Tensor, count: int, *_: Any) -> Any:
-        told.update(scenarios=scenarios, percepts=percepts, replicas=count)
-        return in_the_world(models, scenarios, percepts, count)
-
-    graph = nearly(0.3).graph
-    found = Found(Population(graph, initial_strategy(1)), torch.ones(1) > 0, 0.5)
-    scenarios = random_scenarios("perimeter", missed + solved, seeded(0))
-    which = torch.randperm(missed + solved, generator=seeded(1)) < missed
-    state = state_of(scenarios, (nearly(0.1),))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(specialists, "evolve_candidate", lambda *about, **how: found)
-        patch.setattr(specialists, "shrunk", lambda champion, *about: champion)
-        setup = replace(without_models(replicas=replicas, group=group), imagine=imagine)
-        after = with_member(stage_of(setup), replace(state, number=7), which)
-    rows = [scenarios.seed.tolist().index(s) for s in told["scenarios"].seed.tolist()]
-    assert len(rows) == len(set(rows))
-    assert torch.equal(told["percepts"], state.percepts[rows])
-    ill = [row for row in rows if which[row]]
-    assert len(ill) == min(missed, group)
-    assert len(rows) - len(ill) == (min(solved, OTHERS) if len(ill) < FEWEST else 0)
-    assert told["replicas"] == max(replicas, replicas * group // len(rows))
-    assert [m.name for m in after.members] == ["ahead 0.1", "S1.7"]
-    assert torch.equal(after.trust, torch.ones(len(scenarios), 2))
-    assert after.population is not None
-    assert len(after.population) == 1
-
-
-@pytest.mark.parametrize(("best", "groups"), [(0.6, [8, 16, 32]), (0.4, [8])])
-def test_what_is_good_enough_on_few_scenarios_goes_on_with_more(
-    best: float, groups: list[int]
-) -> None:
-    """Where there is a fitness that is good enough, up to a number of scenarios."""
-    scenarios, told = random_scenarios("perimeter", 50, seeded(0)), list[Scenarios]()
-    began, names = list[Any](), list[str]()
-
-    def imagine(models: None, some: Scenarios, percepts: Tensor, count: int, *_: Any) -> Any:
-        told.append(some)
-        return in_the_world(models, some, percepts, count)
-
-    found = Found(Population(nearly(0.3).graph, initial_strategy(1)), torch.ones(1) > 0, best)
-
-    def evolved(stage: Any, name: str, environment: Any, seeds: Any = None, **how: Any) -> Found:
-        names.append(name)
-        began.append(seeds)
-        return found
-
-    for satisfied, wanted in ((0.5, groups), (float("inf"), [8])):
-        told.clear(), names.clear(), began.clear()
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(specialists, "evolve_candidate", evolved)
-            patch.setattr(specialists, "shrunk", lambda champion, *about: champion)
-            budget = Budget(satisfied=satisfied)
-            setup = replace(without_models(group=8, budget=budget, searches=1), imagine=imagine)
-            with_member(stage_of(setup), state_of(scenarios), torch.ones(50, dtype=torch.bool))
-        assert [len(each) for each in told] == wanted
-        for few, more in itertools.pairwise(told):
-            assert more.seed[: len(few)].tolist() == few.seed.tolist()
-        assert len(set(names)) == len(names)
-        assert began == [None] + [found.champion] * (len(wanted) - 1)
-
-
 def test_shares_are_those_of_replays() -> None:
     """Under other noise each, and the same for all skills."""
     scenarios = random_scenarios("near", 60, seeded(1))
@@ -244,60 +166,6 @@ def test_replays_are_broken_off_where_a_trial_would_be(
     assert torch.equal(found > 0.5, wanted)
     assert torch.equal(wanted, trial.succeeded) is unlimited
     assert trial.succeeded.sum() > 5
-
-
-@pytest.mark.parametrize("searches", [1, 4])
-def test_a_specialist_is_the_best_of_several_searches(searches: int) -> None:
-    """They end with the first that solves all, and every second one begins without seeds."""
-    short = Budget(generations=2)
-    setup = without_models(attempts=1, searches=searches, budget=short, practice=0)
-    first = improve(
-        stage_of(setup, name="S0"), first_stage(), stage_scenarios("near"), along("near")
-    )
-    assert first.specialists is not None
-    told: list[Any] = []
-    improve(stage_of(setup, told.append), first, stage_scenarios("far"), along("far"))
-    done: list[GenerationDone] = of_kind(told, GenerationDone)
-    names = list(dict.fromkeys(e.candidate for e in done))
-    assert names == ["S1.1", *(f"S1.1 search {n}" for n in range(2, len(names) + 1))]
-    everything = [
-        any(e.generation.succeeded.all() for e in done if e.candidate == n) for n in names
-    ]
-    if any(everything):
-        assert everything.index(True) == len(names) - 1
-    else:
-        assert len(names) == searches
-
-
-@given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=6))
-def test_the_best_search_is_kept(results: list[tuple[float, bool]]) -> None:
-    population = random_graphs(0, 9, ACTIONS)
-    seeds = Population(population[:1], initial_strategy(1))
-    given_: list[Population | None] = []
-    left = [
-        Found(Population(population[i : i + 1], initial_strategy(1)), torch.tensor([solved]), best)
-        for i, (best, solved) in enumerate(results)
-    ]
-    every = list(left)
-
-    def evolved(stage: Any, name: str, environment: Any, seeds: Population | None) -> Found:
-        given_.append(seeds)
-        return left.pop(0)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(specialists, "evolve_candidate", evolved)
-        setup = without_models(searches=len(results))
-        nothing: Any = None
-        found = specialists.best_of_searches(stage_of(setup), "S1.1", nothing, seeds)
-    made = len(results) - len(left)
-    assert found.best == max(each.best for each in every[:made])
-    assert given_ == [None if i % 2 else seeds for i in range(made)]
-    best = every[0]
-    for i, each in enumerate(every):
-        best = max(best, each, key=lambda f: f.best)
-        if best.solved.all() or i == len(every) - 1:
-            assert made == i + 1
-            break
 
 
 def test_state_grows_with_what_is_met() -> None:

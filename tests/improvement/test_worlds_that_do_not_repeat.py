@@ -216,27 +216,24 @@ def test_success_that_is_chance_is_found_out_and_no_fact_any_more(
 
 
 @pytest.mark.parametrize(
-    ("count", "noisy", "asked"), [(40, True, 1), (DECISIVE - 20, True, 1), (40, False, 0)]
+    ("count", "world", "asked"),
+    [
+        (40, {"noisy": True}, 1),
+        (DECISIVE - 20, {"noisy": True}, 1),
+        (40, {"noisy": False}, 0),
+        (60, {"repeats": False, "world_of": coin}, 0),
+    ],
 )
 def test_success_that_is_none_stays_a_fact(
-    count: int, noisy: bool, asked: int, monkeypatch: pytest.MonkeyPatch
+    count: int, world: dict[str, Any], asked: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is asked for once, as soon as enough is solved to tell, or at the end."""
+    """It is asked for once, as soon as enough is solved to tell, and where it can be."""
     recruited(monkeypatch, MEMBER)
-    how = {"practice": 5, "looks": 2, "attempts": 3, "noisy": noisy}
+    how = {"practice": 5, "looks": 2, "attempts": 3, **world}
     after, told = improved(first_stage(), many(count), along("near"), **how)
     assert not of_kind(told, ChanceFound)
     assert len([e for e in of_kind(told, WorldAsked) if e.phase == "other noise"]) == asked
     assert after.skill is not None
     assert not after.chance
-    assert try_skill(after.skill, world_of(after.solved)).succeeded.all()
-
-
-def test_in_a_world_that_never_repeats_nobody_asks_whether_success_is_chance(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    recruited(monkeypatch, MEMBER)
-    how = {"world_of": coin, "repeats": False, "practice": 5, "looks": 2, "attempts": 3}
-    _, told = improved(first_stage(), many(60), along("near"), **how)
-    assert not of_kind(told, ChanceFound)
-    assert not [e for e in of_kind(told, WorldAsked) if e.phase == "other noise"]
+    if "noisy" in world:
+        assert try_skill(after.skill, world_of(after.solved)).succeeded.all()

@@ -1,0 +1,193 @@
+"""Specialists: on what they are evolved, how often, and how small they become."""
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from members import nearly
+from reaching import in_the_world
+from support import model, random_graphs, seeded
+from torch import Tensor
+from watched import along, first_stage, of_kind, stage_of, state_of, without_models
+
+from cgtorch.evolution import Population, evaluator, initial_strategy
+from cgtorch.graphs import valid
+from cgtorch.improvement import specialists
+from cgtorch.improvement.checkpoint import Found
+from cgtorch.improvement.events import GenerationDone
+from cgtorch.improvement.improve import improve
+from cgtorch.improvement.setup import Budget
+from cgtorch.improvement.specialists import READABLE, SLACK, _without_each, shrunk
+from cgtorch.improvement.team import FEWEST, OTHERS, with_member
+from cgtorch.tabletop.actions import paper_actions
+from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
+
+ACTIONS = paper_actions()
+
+
+@given(st.integers(0, 9), st.integers(0, 30), st.integers(1, 4), st.integers(1, 20))
+def test_few_missed_scenarios_are_joined_by_solved_ones(
+    missed: int, solved: int, replicas: int, group: int
+) -> None:
+    """A specialist that sees two scenarios only would learn them by heart."""
+    missed = missed + 1
+    told: dict[str, Any] = {}
+
+    def imagine(models: None, scenarios: Scenarios, percepts: Tensor, count: int, *_: Any) -> Any:
+        told.update(scenarios=scenarios, percepts=percepts, replicas=count)
+        return in_the_world(models, scenarios, percepts, count)
+
+    graph = nearly(0.3).graph
+    found = Found(Population(graph, initial_strategy(1)), torch.ones(1) > 0, 0.5)
+    scenarios = random_scenarios("perimeter", missed + solved, seeded(0))
+    which = torch.randperm(missed + solved, generator=seeded(1)) < missed
+    state = state_of(scenarios, (nearly(0.1),))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(specialists, "evolve_candidate", lambda *about, **how: found)
+        patch.setattr(specialists, "shrunk", lambda champion, *about: champion)
+        setup = replace(without_models(replicas=replicas, group=group), imagine=imagine)
+        after = with_member(stage_of(setup), replace(state, number=7), which)
+    rows = [scenarios.seed.tolist().index(s) for s in told["scenarios"].seed.tolist()]
+    assert len(rows) == len(set(rows))
+    assert torch.equal(told["percepts"], state.percepts[rows])
+    ill = [row for row in rows if which[row]]
+    assert len(ill) == min(missed, group)
+    assert len(rows) - len(ill) == (min(solved, OTHERS) if len(ill) < FEWEST else 0)
+    assert told["replicas"] == max(replicas, replicas * group // len(rows))
+    assert [m.name for m in after.members] == ["ahead 0.1", "S1.7"]
+    assert torch.equal(after.trust, torch.ones(len(scenarios), 2))
+    assert after.population is not None
+    assert len(after.population) == 1
+
+
+@pytest.mark.parametrize(("best", "groups"), [(0.6, [8, 16, 32]), (0.4, [8])])
+def test_what_is_good_enough_on_few_scenarios_goes_on_with_more(
+    best: float, groups: list[int]
+) -> None:
+    """Where there is a fitness that is good enough, up to a number of scenarios."""
+    scenarios, told = random_scenarios("perimeter", 50, seeded(0)), list[Scenarios]()
+    began, names = list[Any](), list[str]()
+
+    def imagine(models: None, some: Scenarios, percepts: Tensor, count: int, *_: Any) -> Any:
+        told.append(some)
+        return in_the_world(models, some, percepts, count)
+
+    found = Found(Population(nearly(0.3).graph, initial_strategy(1)), torch.ones(1) > 0, best)
+
+    def evolved(stage: Any, name: str, environment: Any, seeds: Any = None, **how: Any) -> Found:
+        names.append(name)
+        began.append(seeds)
+        return found
+
+    for satisfied, wanted in ((0.5, groups), (float("inf"), [8])):
+        told.clear(), names.clear(), began.clear()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(specialists, "evolve_candidate", evolved)
+            patch.setattr(specialists, "shrunk", lambda champion, *about: champion)
+            budget = Budget(satisfied=satisfied)
+            setup = replace(without_models(group=8, budget=budget, searches=1), imagine=imagine)
+            with_member(stage_of(setup), state_of(scenarios), torch.ones(50, dtype=torch.bool))
+        assert [len(each) for each in told] == wanted
+        for few, more in itertools.pairwise(told):
+            assert more.seed[: len(few)].tolist() == few.seed.tolist()
+        assert len(set(names)) == len(names)
+        assert began == [None] + [found.champion] * (len(wanted) - 1)
+
+
+@pytest.mark.parametrize("searches", [1, 4])
+def test_a_specialist_is_the_best_of_several_searches(searches: int) -> None:
+    """They end with the first that solves all, and every second one begins without seeds."""
+    short = Budget(generations=2)
+    setup = without_models(attempts=1, searches=searches, budget=short, practice=0)
+    first = improve(
+        stage_of(setup, name="S0"), first_stage(), stage_scenarios("near"), along("near")
+    )
+    assert first.specialists is not None
+    told: list[Any] = []
+    improve(stage_of(setup, told.append), first, stage_scenarios("far"), along("far"))
+    done: list[GenerationDone] = of_kind(told, GenerationDone)
+    names = list(dict.fromkeys(e.candidate for e in done))
+    assert names == ["S1.1", *(f"S1.1 search {n}" for n in range(2, len(names) + 1))]
+    everything = [
+        any(e.generation.succeeded.all() for e in done if e.candidate == n) for n in names
+    ]
+    if any(everything):
+        assert everything.index(True) == len(names) - 1
+    else:
+        assert len(names) == searches
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=6))
+def test_the_best_search_is_kept(results: list[tuple[float, bool]]) -> None:
+    population = random_graphs(0, 9, ACTIONS)
+    seeds = Population(population[:1], initial_strategy(1))
+    given_: list[Population | None] = []
+    left = [
+        Found(Population(population[i : i + 1], initial_strategy(1)), torch.tensor([solved]), best)
+        for i, (best, solved) in enumerate(results)
+    ]
+    every = list(left)
+
+    def evolved(stage: Any, name: str, environment: Any, seeds: Population | None) -> Found:
+        given_.append(seeds)
+        return left.pop(0)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(specialists, "evolve_candidate", evolved)
+        setup = without_models(searches=len(results))
+        nothing: Any = None
+        found = specialists.best_of_searches(stage_of(setup), "S1.1", nothing, seeds)
+    made = len(results) - len(left)
+    assert found.best == max(each.best for each in every[:made])
+    assert given_ == [None if i % 2 else seeds for i in range(made)]
+    best = every[0]
+    for i, each in enumerate(every):
+        best = max(best, each, key=lambda f: f.best)
+        if best.solved.all() or i == len(every) - 1:
+            assert made == i + 1
+            break
+
+
+def large(seed: int) -> Population:
+    """A random graph of more nodes than one can read."""
+    graphs = random_graphs(seed, 60, ACTIONS, capacity=24, nodes=(20, 24))
+    rows = (graphs.num_nodes > READABLE + 2).nonzero()[:1, 0]
+    return Population(graphs[rows], initial_strategy(1))
+
+
+def test_what_is_large_becomes_smaller_and_does_as_well() -> None:
+    environment, keep = model(3, 6), torch.zeros(6, dtype=torch.bool)
+    sizes = []
+    for seed in range(6):
+        before = large(seed)
+        after = shrunk(before, ACTIONS, environment, 20)
+        old, new = (evaluator(ACTIONS, environment, keep)(p.graphs) for p in (before, after))
+        sizes.append(int(after.graphs.num_nodes))
+        assert valid(after.graphs, ACTIONS).all()
+        assert (new.succeeded | ~old.succeeded).all()
+        assert float(new.fitness) >= float(old.fitness) - SLACK
+        assert torch.equal(after.strategy, before.strategy)
+    assert min(sizes) <= READABLE  # most of what a random graph has is never visited
+    assert sum(size <= READABLE for size in sizes) >= 3
+
+
+def test_what_is_readable_stays() -> None:
+    graphs = random_graphs(0, 1, ACTIONS, nodes=(3, READABLE))
+    before = Population(graphs, initial_strategy(1))
+    assert shrunk(before, ACTIONS, model(0, 2), 20) is before
+
+
+def test_every_node_goes_once_for_every_other() -> None:
+    graphs = large(1).graphs
+    n = int(graphs.num_nodes)
+    smaller = _without_each(graphs)
+    assert len(smaller) == n * (n - 1)
+    assert valid(smaller, ACTIONS).all()
+    assert (smaller.num_nodes < n).all()
+    was = graphs.used[0]
+    missing = (was & ~smaller.used).sum(0)[was]
+    assert (missing >= n - 1).all()
