@@ -45,18 +45,6 @@ class Shape:
         ends = 0.0 if self.kind == "cylinder" else 4 / 3 * math.pi * radius**3
         return math.pi * radius**2 * length + ends
 
-    def outside(self, points: Array) -> Array:
-        """(V,) the distances of points (V, 3) from the shape, m; 0 inside."""
-        local = (points - self.pose[:3, 3]) @ self.pose[:3, :3]
-        if self.kind == "box":
-            away = np.abs(local) - np.array(self.sizes) / 2
-            return np.linalg.norm(away.clip(min=0), axis=1)
-        radius, length = (*self.sizes, 0.0)[:2]
-        across, along = np.hypot(local[:, 0], local[:, 1]), np.abs(local[:, 2]) - length / 2
-        if self.kind == "cylinder":
-            return np.hypot((across - radius).clip(min=0), along.clip(min=0))
-        return (np.hypot(across, along.clip(min=0)) - radius).clip(min=0)
-
 
 @dataclass(frozen=True)
 class Fit:

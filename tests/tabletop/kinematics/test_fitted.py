@@ -6,6 +6,7 @@ import mesh_robot
 import numpy as np
 import pytest
 import trimesh
+from points_outside import outside
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
@@ -45,7 +46,7 @@ def test_every_mesh_lies_inside_the_shapes_of_its_link(urdf):
         points = [mesh.vertices, trimesh.sample.sample_surface(mesh, 2000, seed=0)[0]]
         shapes = list(shapes_of(plain.link(fit.link)))
         for each in points:
-            away = np.min([shape.outside(each) for shape in shapes], axis=0)
+            away = np.min([outside(shape, each) for shape in shapes], axis=0)
             assert away.max() < 1e-6  # STL has single precision
         assert 0.4 < fit.fit.ratio < 1.35
     assert fits[1].fit.ratio < 0.9  # the torso, which is a corner
