@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from cgtorch.training.run import open_run as open_run
     from cgtorch.training.run import train as train
 
-# Torch takes a second to import, so that a name is looked up once somebody asks for it.
+# Torch takes a second to import, so a name is imported on its first use.
 _FOLDERS = {
     "domains.data_files": ("read_data", "write_data"),
     "domains.domain": ("Domain",),

@@ -1,4 +1,4 @@
-"""What all commands share: quick imports, errors in one line, options, and signs of progress."""
+"""Shared by all commands: quick imports, errors in one line, options, and signs of progress."""
 
 import ctypes
 import gc

@@ -135,7 +135,7 @@ def _position(option: str, text: str) -> tuple[str, float]:
 
 
 def _summary(made: "Made", folder: Path) -> Iterator[str]:
-    """What was made, and what the user should check."""
+    """The written files, and points for the user to check."""
     words, robot = made.robot.description, made.robot
     x0, x1, y0, y1 = words.footprint
     yield f"{words.name}: {folder}"

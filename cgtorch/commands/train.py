@@ -67,7 +67,7 @@ def _domain_named(args: list[str]) -> str:
         try:
             spec = read_json(Path(run) / "run.json")["settings"]["domain"]
         except (CgtorchError, TypeError, KeyError):
-            spec = None  # what is wrong with it is told once the run is opened
+            spec = None  # its faults are reported when the run is opened
         if not isinstance(spec, str) or is_code(spec):
             spec = None
     return RunSettings.domain if spec is None else spec

@@ -70,7 +70,7 @@ def _aim(work: Work) -> float:
 
 
 def _before(work: Work) -> Iterator[str]:
-    """What a new run will do, and where to watch it."""
+    """The plan of a new run, and where to watch it."""
     run, settings = work.run, work.run.settings
     about = f"domain {settings.domain}, seed {settings.seed}"
     if work.auto:

@@ -156,7 +156,7 @@ def _records(table: Table, d: int) -> Dataset:
 
 
 def _fault(names: Sequence[str], filled: Sequence[bool], lacks: Sequence[bool], d: int) -> str:
-    """What is wrong with a row, and what to do."""
+    """The fault of a row, and how to repair it."""
     tests, moves = filled[-1], any(filled[d:-1])
     if tests and moves:
         return "is a transition and a test; give the test a row of its own, with its percept"
@@ -178,7 +178,7 @@ SUCCESS = ("success", "is_success")
 MOST_NUMBERS = 2**27  # of one part of an episode
 DEEPEST = 8  # groups within one another
 BROKEN = (OSError, LookupError, TypeError, ValueError, RuntimeError, MemoryError, AttributeError)
-"""What h5py raises for damaged files, and for parts that are of another kind than they should."""
+"""Errors of h5py for damaged files and for parts of a wrong kind."""
 
 
 def read_minari(folder: Path, percept: Sequence[Field], control: Sequence[Field]) -> Dataset:

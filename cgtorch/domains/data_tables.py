@@ -18,7 +18,7 @@ from cgtorch.ground.files import read_bytes
 SUCCEEDED = "succeeded"
 MOST_BYTES = 2**30
 RESULTS = {"0": 0.0, "1": 1.0, "false": 0.0, "true": 1.0}
-"""What a cell of `succeeded` may say in letters of any case, besides numbers of these values."""
+"""Words for a cell of `succeeded`, in any case, besides numbers of these values."""
 GIVE, GIVE_RESULT = "give a finite number, or leave the row out", "give 0 or 1"
 
 
@@ -28,7 +28,7 @@ class Table:
 
     Attributes:
         where: The file, for messages.
-        word: What its rows are called there.
+        word: The name of its rows in messages.
         rows: The number of each row.
         names: The names of the K columns.
         values: (R, K) float64, NaN where a cell is empty.

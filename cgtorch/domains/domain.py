@@ -58,9 +58,9 @@ class Domain(ABC, Generic[S]):
         repeats: Whether a world that is asked the same gives the same answer, so that a trial can
             be made again. If not, each trial is one sample of what may happen.
         specialists: How missed scenarios are assigned to specialists.
-        models: What the domain says about Γ and C; None if skills are evolved in the world itself.
-        pictures: What reports show of it.
-        files: What it stores in a run.
+        models: Inputs and fits of Γ and C; None if skills are evolved in the world itself.
+        pictures: The contents of its reports.
+        files: The files that it stores in a run.
     """
 
     percept: Sequence[Field]

@@ -40,11 +40,11 @@ ADVICE = (
 
 @dataclass(frozen=True)
 class Exploration:
-    """What an exploration works with.
+    """The inputs of an exploration.
 
     Attributes:
         kind: The kind of scenarios.
-        worlds: Makes the world of that many fresh scenarios of a kind; what it is asked is counted.
+        worlds: Makes the world of n fresh scenarios of a kind; its world actions are counted.
         fit: Fits models to data.
         most: The largest number of motions.
         lanes: The number of robots that act side by side.
@@ -66,7 +66,7 @@ class Exploration:
 
 
 class Explored(Protocol):
-    """What an exploration asks of the models; see `cgtorch.domains.models.Models`."""
+    """The part of the models that an exploration uses; see `cgtorch.domains.models.Models`."""
 
     def worth_trying(self, percept: Tensor, count: int, generator: Generator) -> Tensor:
         """(n, U) random controls to try at a percept (D,)."""
@@ -129,7 +129,7 @@ def explore(models: Explored, about: Exploration) -> Dataset:
 class _Robots:
     """Robots that explore side by side, each from a fresh start after `CHAIN` motions.
 
-    A live one goes on from where it is, since somebody would have to arrange a fresh start.
+    A live one goes on from where it is, since a fresh start has to be arranged by hand.
     """
 
     def __init__(self, models: Explored, about: Exploration):

@@ -1,4 +1,4 @@
-"""What a run's folder holds of a domain besides its settings."""
+"""The files of a domain in a run's folder, besides its settings."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -15,7 +15,7 @@ class GymnasiumSettings(DomainSettings):
     run_defaults: ClassVar[Mapping[str, Any]] = {
         "population": 48,
         "generations": 400,
-        # What counts is the mean of fresh episodes, so rounds are short and it is soon looked at.
+        # The goal is a mean over fresh episodes, so short rounds test it soon.
         "attempts": 4,
         # Episodes end by themselves; this ends only graphs that never act.
         "max_transitions": 100_000,

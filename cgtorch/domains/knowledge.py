@@ -142,7 +142,7 @@ def imagine(
         percept, control = data.percept[pick], data.control[pick]
         predicted, novelty = gamma.predict_with_novelty(percept, control)
         residual = gamma.difference(predicted, data.next_percept[pick])
-        # With another's error a percept is odder than any that is seen.
+        # Resampled errors can leave the observed range of percepts, so it is widened.
         imagined = predicted + residual.roll(1, 0) * noisy(predicted)
         gamma.most = torch.maximum(gamma.most, gamma.extremes(imagined, control).amax(0))
     rows = torch.randint(len(residual), (len(percepts) * replicas, LOOKS), generator=generator)

@@ -110,7 +110,7 @@ class _Unseen(Pictures[Any]):
     """The pictures of a domain whose world is a robot."""
 
     def scenarios(self, *about: Any, **more: Any) -> None:
-        """See `Pictures.scenarios`: nobody knows where things are in these scenes."""
+        """See `Pictures.scenarios`: the places of things are unknown here."""
 
 
 class OnRobot(Domain[Placements]):
@@ -121,7 +121,7 @@ class OnRobot(Domain[Placements]):
     simulated: Domain[Any]
 
     def draw(self, kind: str, count: int, generator: Generator) -> Placements:
-        """See `Domain.draw`: scenes that somebody will arrange."""
+        """See `Domain.draw`: scenes that the driver will arrange."""
         return Placements(torch.full((count,), self.kinds.index(kind)), torch.arange(count))
 
     def world(self, scenarios: Placements) -> LiveWorld:

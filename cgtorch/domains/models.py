@@ -1,4 +1,4 @@
-"""What a domain can say about Γ and C: the first data, their inputs, and how they are fitted."""
+"""Γ and C of a domain: the first data, their inputs, and how they are fitted."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, Protocol, TypeVar

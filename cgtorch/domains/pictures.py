@@ -1,4 +1,4 @@
-"""What reports show of a domain: its words, published results, drawings and films."""
+"""The contents of reports on a domain: words, published results, drawings and films."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -19,7 +19,7 @@ from cgtorch.ground.files import JsonLines
 
 
 class ProtectiveStop(Exception):  # noqa: N818  a state of the robot, no error of the program
-    """Raise it where the robot has stopped for safety: the run pauses until somebody continues."""
+    """Raise it where the robot has stopped for safety: the run pauses until it is resumed."""
 
 
 class RobotDriver(ABC):
@@ -145,7 +145,7 @@ class Robot:
         return dataset_of(rows, percept, control), asked_in(left)
 
     def _pause(self) -> None:
-        """KeyboardInterrupt if somebody has interrupted a routine of the driver."""
+        """KeyboardInterrupt if a routine of the driver was interrupted."""
         if self._interrupted:
             self._interrupted = False
             raise KeyboardInterrupt
@@ -206,7 +206,7 @@ class Logged:
 
 
 def asked_in(episodes: Sequence[Logged]) -> Asked:
-    """What was asked in logged episodes, each of which began with a look."""
+    """World actions of logged episodes, each of which began with a look."""
     rows = [a for each in episodes for a in each.actions]
     motions = sum(a["what"] == "motion" for a in rows)
     return Asked(motions, len(rows) - motions, looks=len(episodes))

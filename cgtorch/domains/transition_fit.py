@@ -51,9 +51,9 @@ def fit_transition_model(
     model.to(p.device).standardise(p, u, q, dtype)
     x, y, tells = model.learnable(p, u, q)
     if int(tells.sum()) < _FEWEST:
-        tells = torch.ones_like(tells)  # nothing can be learnt, which the comparison will show
+        tells = torch.ones_like(tells)  # the comparison below shows that nothing can be learnt
     x, y = x[tells], y[tells]
-    one = slice(None if bool(y.any()) else 1)  # of nothing, one cell shows as much as many
+    one = slice(None if bool(y.any()) else 1)  # without rows, one cell is enough
     some = torch.randperm(len(x), generator=generator)[: grid.rows].to(x.device)
     found = grid_search(
         SVR(), x[some], y[some], C=grid.C[one], gamma=[g / x.shape[1] for g in grid.gamma[one]],

@@ -14,8 +14,9 @@ from cgtorch.ground.environment import Lanes, ScenarioBatch
 class World(ABC):
     """An `Environment` whose state determines the percept and whether the task has succeeded.
 
-    All methods get n lanes at once and must treat each by itself. What a world needs to remember of
-    an episode belongs in the state. Noise must follow from the scenario and the state alone.
+    All methods get n lanes at once and must treat each by itself. Everything that a world
+    remembers of an episode belongs in the state. Noise must follow from the scenario and the
+    state alone.
 
     Attributes:
         scenarios: The B scenarios.

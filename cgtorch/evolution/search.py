@@ -191,7 +191,7 @@ def _generation(
     """The generation of all islands, given those that this rank holds and their results."""
     count, leaders = settings.islands, []
     for each, result in zip(evaluated, results, strict=True):
-        # What a leader solves takes the place of its scores.
+        # The scores of a leader are its solved scenarios.
         leaders.append(replace(each, scores=result.succeeded).rows(each.order[:1]))
     if len(leaders) < count:
         leaders = _shared(ranks.all_gather_parts, leaders, settings)

@@ -28,7 +28,7 @@ def named_primitives(skill: Skill, seen: set[int] | None = None) -> Iterator[tup
 
 
 def request_of(action: Action) -> str:
-    """What an action asks of a robot, for exactly its class (`Action.request`); "" for nothing."""
+    """The request of an action, for exactly its class (`Action.request`); "" without one."""
     return str(vars(type(action)).get("request", ""))
 
 

@@ -78,7 +78,7 @@ def _plain(action: Action) -> str:
 
 
 def _about(action: Action) -> str:
-    """What the docstring of an action says first, and how many parameters it has."""
+    """The first sentence of an action's docstring, and its number of parameters."""
     said, k = vars(type(action)).get("__doc__") or "", action.num_parameters
     first = " ".join(said.strip().partition("\n\n")[0].split())
     return f"{first} It has {k} parameter{'s' if k != 1 else ''}, in `self.parameters`.".strip()

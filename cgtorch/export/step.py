@@ -25,7 +25,7 @@ from cgtorch.simulation.program import compile_graphs
 
 ENDS = ("success", "failure", "timeout")
 ASKS = {"control": ("success", "failure"), "perceive": ("success",), "test": ("success", "failure")}
-"""What a robot can be asked (`Action.request`), and the outcomes of each."""
+"""Kinds of requests to a robot (`Action.request`), and the outcomes of each."""
 REQUESTS = (*ENDS, *ASKS)
 """The meaning of each value of `request`: how the skill has ended, or what the robot should do."""
 CONTROL = REQUESTS.index("control")
@@ -109,7 +109,7 @@ class SkillStep(nn.Module):
     def forward(
         self, percept: Tensor, outcome: Tensor, place: Tensor, mind: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """What the robot should do next.
+        """The next request to the robot.
 
         Args:
             percept: (D,) the present percept.
@@ -251,7 +251,7 @@ class SkillStep(nn.Module):
 
 
 def _percept_size(skill: Skill) -> int:
-    """What the networks of a skill, or of one in it, read."""
+    """Inputs of the networks of a skill and of its sub-skills."""
     for _, action in named_primitives(skill):
         if isinstance(size := getattr(action, "percept_size", None), int):
             return size

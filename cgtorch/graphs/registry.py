@@ -96,7 +96,7 @@ def check_action(
     for _ in range(VISITS):
         lanes, outcome = _visited(name, action, lanes, parameters, environment)
         if any(action.outcomes[i] in action.terminal for i in outcome.tolist()):
-            break  # a skill that has ended comes to no node again
+            break  # a skill that has ended visits no further node
         lanes = replace(lanes, step=lanes.step + 1)
 
 

@@ -1,1 +1,1 @@
-"""What all stands on: interfaces of worlds and models, errors, files, numbers, processes."""
+"""Foundations: interfaces of worlds and models, errors, files, numbers, processes."""

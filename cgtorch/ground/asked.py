@@ -44,7 +44,7 @@ class Purse:
 
     Attributes:
         limits: The largest numbers by name; names without a limit are absent.
-        spent: What was asked so far, by phase.
+        spent: World actions so far, by phase.
         exhausted: Whether something was refused.
     """
 
@@ -54,7 +54,7 @@ class Purse:
 
     @property
     def total(self) -> Asked:
-        """What was asked in all phases."""
+        """World actions of all phases."""
         return sum(self.spent.values(), Asked())
 
     def pay(self, phase: str, asked: Asked) -> None:

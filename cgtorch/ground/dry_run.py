@@ -156,7 +156,7 @@ def repeats_itself(environment: Environment) -> bool:
 
 
 def _shown(environment: Environment) -> tuple[Tensor, ...]:
-    """What methods show of two scenarios: percepts and other results."""
+    """Percepts and other results of the methods on two scenarios."""
     size, scenario = environment.control_size, two_rows(environment.num_scenarios)
     lanes = start_lanes(environment, scenario, size, 0)
     moved, done = environment.step(lanes, lanes.percept.new_zeros(ROWS, size))

@@ -66,7 +66,7 @@ def read_bytes(path: Path | str, max_bytes: int, error: type[CgtorchError] = Run
             raise error(f"cannot read {str(path)!r}, which is not a file; check the path")
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            # What is asked for is allocated at once, so never more than there is.
+            # `read` allocates the bytes that it is asked for, so never ask for more than there are.
             raw = b"" if size > max_bytes else file.read(size + 1)
             whole = len(raw) == size
     except (OSError, ValueError) as e:

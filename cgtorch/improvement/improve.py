@@ -45,7 +45,7 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     """Act, learn and improve until fresh scenarios are solved in a row, or the budget is spent.
 
     Args:
-        setup: What the stage works with.
+        setup: The inputs of the stage.
         progress: The result of earlier stages.
         tests: The stage's own test scenarios, which are tried first.
         draw: Draws fresh scenarios.
@@ -58,7 +58,7 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         state = _begun(setup, progress, tests, draw)
     except BudgetSpentError:
         return progress
-    if not len(state.scenarios):  # for which nobody could be evolved
+    if not len(state.scenarios):  # so nothing can be evolved
         return progress
     first, accepted, best, idle, done = state, False, (0, 0), 0, False
     for _ in range(setup.attempts):
@@ -280,7 +280,7 @@ def _on_known(
 def _on_rest(
     setup: Setup[S], state: StageState[S], candidate: Candidate
 ) -> tuple[StageState[S], bool]:
-    """The state, and whether a candidate loses nothing of the rest of W; what it loses joins."""
+    """The state, with lost scenarios of the rest of W among the first, and whether none is lost."""
     scenarios, percepts = state.rest
     held = attempt(setup, candidate.skill, scenarios, "trials").succeeded
     if not held.all():

@@ -34,7 +34,7 @@ OTHERS = 8  # solved scenarios that are added
 WIDEST = 32  # scenarios to which a group grows, by doubling, where a fitness is good enough
 REFLECT = 8  # episodes after which the models learn, however well all went
 THOUGHTS = 3  # candidates in the models before one acts, where trials take a robot's time
-WORTH = 0.02  # share of replays that a candidate gains before a skill that does not fail gives way
+WORTH = 0.02  # least share of replays by which a candidate replaces a skill that does not fail
 ERRORS = 2.0  # standard errors by which a candidate may be worse on W
 MOST_WORSE = 0.05  # share of replays by which it may be worse, however few there are
 CLEAR = 0.7  # standard errors by which it has to be better on all scenarios together
@@ -72,7 +72,7 @@ class StageState(Generic[S]):
         shown: (B,) long, 1 where the skill that acts has succeeded there, -1 where it has failed.
         targets: (B,) bool, the stage's own tests and earlier failures.
         rest: More of W, which is tried in the world but not replayed, with first percepts.
-        waiting: Tests that nobody has looked at, in a world that cannot be put back.
+        waiting: Tests without a first percept yet, in a world that cannot be reset.
         knowledge: Data and models, with all that was learned in the world.
         members: M skills to branch to.
         trust: (B, M) factors of the members' shares, below 1 where one has failed in the world.
@@ -122,7 +122,7 @@ class StageState(Generic[S]):
     def extended(
         self, scenarios: S, percepts: Tensor, *, kept: bool = False, targets: bool = False
     ) -> "StageState[S]":
-        """The state with more scenarios: of the first W if `kept`, else tried by nobody."""
+        """The state with more scenarios: of the first W if `kept`, else untried."""
 
         def more(column: Tensor, value: float) -> Tensor:
             return torch.cat([column, column.new_full((len(scenarios), *column.shape[1:]), value)])
@@ -213,7 +213,7 @@ def _candidate(setup: Setup[S], state: StageState[S]) -> tuple[Candidate, StageS
     if same_behaviour(new.skill, current.skill):
         return current, state
     now = shares(setup, state, [current.skill, new.skill])
-    # What the world has shown of it, the models may not know.
+    # The models may not know the failures that the world has shown.
     now[state.shown < 0, 0] *= 0.0 if state.repeats else BLAME
     gain = 0.0
     if not state.repeats:  # else the world has the last word on W

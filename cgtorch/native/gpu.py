@@ -122,7 +122,7 @@ def gpu_of(device: torch.device) -> Gpu | None:
 
 
 def launcher_of(device: torch.device) -> Gpu | None:
-    """What launches kernels on a device; None if there is nothing, as on a CPU."""
+    """The launcher of kernels on a device; None without one, as on a CPU."""
     return gpu_of(device) if device.type == "cuda" else None
 
 

@@ -130,9 +130,9 @@ def listening(listener: Listener) -> Iterator[None]:
 
 
 def counted(what: str, total: int) -> Callable[[int], None]:
-    """Tell that `total` of something will be done; what is returned is called with each more.
+    """Announce `total` steps of work; the returned function is called with each further number.
 
-    It changes no result, and nothing happens where nobody listens, so that work deep below a
+    It changes no result, and without listeners nothing happens, so that work deep below a
     command needs no display.
     """
     done = 0

@@ -41,7 +41,7 @@ typedef int64_t whole;
 #define UP_TO(i, count, most) for (int i = 0; i < (int)(count); i++)
 #define MAKE(type) (type) /* what C and C++ write differently */
 #define SET(flag) __atomic_store_n(flag, 1, __ATOMIC_RELAXED)
-/* What takes long is kept out of the loops that call it, whose registers it would take. */
+/* Long functions stay out of the loops that call them, whose registers they would take. */
 #define APART static __attribute__((noinline))
 
 #define BYTES 64

@@ -71,7 +71,7 @@ def inline_svg(figure: "Figure", key: str, label: str, scale: float = 1.0) -> Ma
     etree.strip_elements(root, *(SVG + name for name in ("metadata", "style", "title")))
     _rename(root, key)
     for element in root.iter(etree.Element):
-        # A hundredth of a point of every place stays, beyond which nobody can see anything.
+        # Coordinates keep a hundredth of a point, which is finer than visible.
         for name in ("d", "x", "y", "width", "height", "transform"):
             if (value := element.get(name)) is not None:
                 element.set(name, _FRACTION.sub(r"\1", value))

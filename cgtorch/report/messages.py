@@ -1,4 +1,4 @@
-"""What is said on the screen: a line for each event, without colour, and the table of stages."""
+"""Texts on the screen: a line for each event, without colour, and the table of stages."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -73,7 +73,7 @@ def _asked(event: events.WorldAsked) -> str:
 
 
 def asked_of(whom: str, purse: Purse) -> str:
-    """What was asked in all phases, such as of a robot, and how long that takes one."""
+    """World actions of all phases, and the time that a robot takes for them."""
     total = purse.total
     hours = total.actions * SECONDS / 3600
     phases = ", ".join(f"{phase} {a.actions}" for phase, a in purse.spent.items() if a.actions)

@@ -147,7 +147,7 @@ def _film(contents: Contents) -> tuple[str, list[str]]:
 
 
 def _asked_by_phase(contents: Contents) -> list[tuple[str, int, int, int, int]]:
-    """What was asked of the world: phase, motions, tests, looks and episodes, and all together."""
+    """World actions: phase, motions, tests, looks and episodes, and their sums."""
     if not contents.stages:
         return []
     spent = contents.stages[-1].result["asked"]

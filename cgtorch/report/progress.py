@@ -136,7 +136,7 @@ class ProgressDisplay:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Remove the live lines; what was printed above them stays."""
+        """Remove the live lines; printed lines stay."""
         if self._live is not None:
             self._live.stop()
             self._live = None
@@ -155,7 +155,7 @@ class ProgressDisplay:
                 self._estimate.stage_started(event)
                 self._plain(message)
             case events.ModelsFitted():
-                # What Γ and C are worth before all learning on is a result and stays.
+                # The quality of the first Γ and C is a result, so its line stays.
                 (self.say if event.summary.first else self._plain)(message)
             case events.WorldAsked() | events.Practised():
                 if isinstance(event, events.WorldAsked) and event.phase in ("trials", "practice"):

@@ -28,7 +28,7 @@ SCORES = {
 
 
 def stage_sections(run: StoredRun, stages: Sequence["Stage"]) -> list[dict[str, Any]]:
-    """What the template shows of all stages, and of the domain's missing ones unless it has rounds.
+    """Contents of all stages, and of the domain's missing ones unless it has rounds.
 
     `tested` is whether it is one of the domain's stages, which have tests of their own.
     """
@@ -65,7 +65,7 @@ def _map_of(stage: "Stage", run: StoredRun, kind: str | None) -> tuple[Markup, s
     if not solved + missed:
         return NONE, f"{stage.skill.name}: nothing was tried"
     words = f"{stage.skill.name}: {solved} scenarios {run.pictures.solved[0]}, {missed} missed"
-    if isinstance(stage.solved, Placements):  # of which nobody knows where things were
+    if isinstance(stage.solved, Placements):  # whose objects have no known places
         return NONE, words
     everything = stage.solved.joined(stage.missed)
     good = torch.arange(solved + missed) < solved

@@ -131,7 +131,7 @@ def lone_skill(
         )
     if damaged:
         raise damaged[0]
-    # Each variant lacks some actions of the others; what all of them lack is meant.
+    # Each variant lacks some actions of the others; the message names one that all of them lack.
     elsewhere = tuple(f"unknown action {name!r}" for name in known)
     others = [e for e in errors if not str(e).startswith(elsewhere)]
     raise ActionError(

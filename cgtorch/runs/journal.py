@@ -330,7 +330,7 @@ def _next(run: StoredRun, stage: str) -> str:
 
 
 def goes_on_to(run: StoredRun) -> dict[str, Any]:
-    """What the run was last asked for: the stage, and the goal of "auto"; {} if nothing yet."""
+    """The last request for the run: the stage, and the goal of "auto"; {} before the first."""
     found = read_json(run.folder / "run.json").get("goes_on_to", {})
     if not isinstance(found, dict):
         raise RunError(f"goes_on_to of {str(run.folder / 'run.json')!r} is no object; restore it")

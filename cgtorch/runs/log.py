@@ -27,7 +27,7 @@ MIDDLE = (0.1, 0.9)  # quantiles between which a spread lies
 
 Row: TypeAlias = dict[str, Any]
 Shape: TypeAlias = Any
-"""What a value has to be: a type, [shape of all members], {key: shape} (with `str` as the key: of
+"""The shape of a value: a type, [shape of all members], {key: shape} (with `str` as the key: of
 all keys), or a tuple of shapes of which one fits. `float` is any finite number, at least 0 if it is
 of `seconds`; `int` is a count."""
 
@@ -144,7 +144,7 @@ class LogWatch:
 
 
 def _identity(row: Row) -> str:
-    """What makes a row the same as one of before an interruption."""
+    """The columns by which a row equals one from before an interruption."""
     if row["event"] == "generation":  # whose last digits may depend on the machine
         return f"generation {row['stage']} {row['candidate']} {row['generation']}"
     return json.dumps({name: row[name] for name in row if name not in _TIMES}, sort_keys=True)

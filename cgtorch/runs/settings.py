@@ -216,7 +216,7 @@ DECISIVE, SCREENING = 40, 10
 
 @dataclass(frozen=True)
 class Goal:
-    """What to reach and what to spend; it can change later. SettingsError for impossible values."""
+    """Target and limits of a training, which can change later; SettingsError for bad values."""
 
     target: float = option(
         0.99,

@@ -95,12 +95,12 @@ class StoredRun:
 
     @property
     def models(self) -> Models[Any]:
-        """What the domain says about Γ and C."""
+        """The domain's inputs and fits of Γ and C."""
         return (self.domain.models or Models)(self.domain)
 
     @property
     def pictures(self) -> Pictures[Any]:
-        """What reports show of the domain."""
+        """The contents of reports on the domain."""
         return self.domain.pictures(self.domain)
 
     @property

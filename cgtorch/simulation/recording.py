@@ -52,7 +52,7 @@ class Recording:
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """See `Environment.step`."""
-        able = control.isfinite().all(1)  # what is no control is not carried out
+        able = control.isfinite().all(1)  # a control that is not finite is not carried out
         if self.most is not None:
             able &= self._able(lanes)
         if not able.all():

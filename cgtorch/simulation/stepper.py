@@ -18,7 +18,7 @@ SUCCESS, FAILURE, TIMEOUT = "success", "failure", "timeout"
 
 @dataclass(frozen=True)
 class Request:
-    """What a robot should do next, or how the skill has ended.
+    """The next request to a robot, or how the skill has ended.
 
     Attributes:
         kind: "control", "perceive" or "test"; or "success", "failure" or "timeout" at the end.
@@ -70,7 +70,7 @@ class Stepper:
         self._mind: Lanes | None = None
 
     def act(self, percept: Sequence[float] | Tensor, done: bool = True) -> Request:
-        """What to do next at a percept (D,), after the last request succeeded or failed.
+        """The next request at a percept (D,), after the last one succeeded or failed.
 
         DataError for a percept that is not a row of numbers, ActionError if an action asks its
         environment for more than a robot has.

@@ -99,7 +99,7 @@ def grid_search(
     given = model.epsilon if epsilon is None else epsilon
     tubes = (0.0,) if targets.classes is not None else _axis(given, "epsilon")
     numbers = fold_numbers(folds, targets, generator)
-    # Nothing needs these numbers any more; what is drawn after them stays what a seed always gave.
+    # These numbers are unused, but drawing them keeps all later draws of a seed the same.
     torch.randint(2**62, (len(widths),), generator=generator)
     masks = training_masks(numbers).to(rows.device)
     # The largest gammas, which have most support vectors, go first, so that no process ends late.

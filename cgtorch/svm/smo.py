@@ -81,7 +81,7 @@ def _solve(
     lower, upper, epsilon = problem.lower.numpy(), problem.upper.numpy(), float(problem.epsilon)
     diagonal = matrix.diagonal()
     for step_number in range(most + 1):
-        # What a step up of each coefficient gains, and what a step down costs.
+        # Gain of a step up of each coefficient, and cost of a step down.
         rise = -(gradient + np.where(beta >= 0, epsilon, -epsilon))
         fall = -(gradient + np.where(beta > 0, epsilon, -epsilon))
         rise[beta >= upper] = -np.inf

@@ -127,7 +127,7 @@ def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
 
 
 def _wrong(name: str, value: Tensor, expected: Tensor) -> str:
-    """What is wrong with a single tensor, "" if nothing is."""
+    """The fault of a single tensor, "" if there is none."""
     floating = expected.is_floating_point()
     if value.dtype not in ((torch.float32, torch.float64) if floating else (expected.dtype,)):
         return f"type {value.dtype}"

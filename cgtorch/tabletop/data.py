@@ -33,7 +33,7 @@ CANDIDATES = 8  # poses for each that is labelled beside the boundary
 NEIGHBOURS = 4  # of either label that say how near the boundary is
 SIDES_MATTER = 1.0  # m from the base; where the table ends further away matters no more
 OBJECT_MATTERS = 2.0  # how much a distance between objects counts, against one between sides
-PROBE = 200  # poses, at least, that show whether there is anything to learn
+PROBE = 200  # least number of poses that show whether there is anything to learn
 
 
 @dataclass(frozen=True)

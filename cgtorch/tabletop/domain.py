@@ -69,7 +69,7 @@ WORTH_SHARING = 16  # grasps
 THRIFT = {"kinematic": 1, "mujoco": 4}  # see `Scenes`
 _Asked: TypeAlias = Callable[[Robot, Tensor, Tensor], Tensor]
 GRASPS: Mapping[str, _Asked] = {"way": graspable, "posture": has_posture}
-"""What a successful grasp needs, by the setting `grasp`."""
+"""The condition of a successful grasp, by the setting `grasp`."""
 ACTIONS = {"percept": paper_actions, "edge": edge_actions}
 """The actions of section VI, by the input of their networks."""
 SPECIALISTS = {"percept": Specialists(), "edge": Specialists(broad_group, group=32, stall=15)}

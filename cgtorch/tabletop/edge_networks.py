@@ -1,8 +1,8 @@
 """Networks in the frame of the table edge nearest to the object.
 
 The frame's origin is the object. Its x points from the nearest edge into the table, and its y is
-such that the robot is not at negative y, so mirrored scenes are equal. What a node does at one
-edge, it does at all, however the table is placed and turned.
+such that the robot is not at negative y, so mirrored scenes are equal. A node behaves alike
+at all edges, however the table is placed and turned.
 """
 
 from dataclasses import dataclass

@@ -117,7 +117,7 @@ def obstacles(frame: Frame, percept: list[float]) -> list[float]:
             centre = into(frame, ((x0 + x1) / 2, (y0 + y1) / 2))
             seen += [*centre, (x1 - x0 + y1 - y0) / 4]
         else:
-            seen += [-3.0, 0.0, 0.0]  # what is not there is said to be far behind the edge
+            seen += [-3.0, 0.0, 0.0]  # missing things are far behind the edge
     return seen
 
 

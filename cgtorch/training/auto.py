@@ -176,7 +176,7 @@ def _tested(
     """
     domain, scores = training.run.domain, list[Score]()
     skill = name if progress.skill is None else progress.skill.name
-    if rewarded(domain):  # what counts is the mean of the returns
+    if rewarded(domain):  # the target is a mean return
         target, sizes = float(domain.target_return), (EPISODES, DECISIVE_EPISODES)
         enough = EPISODES + 1, DECISIVE_EPISODES + 1
     else:

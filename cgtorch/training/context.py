@@ -44,7 +44,7 @@ IN_A_ROW, LIVE_IN_A_ROW = 150, 20
 """The default number of fresh scenarios to solve in a row, in a world that can be put back into any
 scenario, and in one where each trial takes its time. A stage there asks for half as many, since
 other stages follow."""
-SETTLED = 20  # generations without a better fitness after which a solved group is left
+SETTLED = 20  # generations without a better fitness after which the search for a solved group ends
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Training:
         if not run.repeats:  # where an action costs more than a generation
             budget = replace(budget, patience=SETTLED)
         if rewarded(domain):
-            # A return has no best value, so what solves all is improved for a little while.
+            # Returns have no maximum, so the search continues for a number of generations.
             aim = domain.target_return
             budget = replace(budget, enough=float("inf"), satisfied=aim, patience=5)
         return Setup(

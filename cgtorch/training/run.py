@@ -52,7 +52,7 @@ class Run(StoredRun):
         return [row for row in rows if row["stage"] in self.stages]
 
     def log(self) -> list[dict[str, Any]]:
-        """What happened, a row each, as `pandas.DataFrame` takes them (docs/log.md)."""
+        """The events of the run, a row each, as `pandas.DataFrame` takes them (docs/log.md)."""
         return read_log(self.folder)
 
     def evaluate(

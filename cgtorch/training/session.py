@@ -52,11 +52,11 @@ UserWatch: TypeAlias = Callable[[Event], object]
 
 @dataclass(frozen=True)
 class TrainingRequest:
-    """What is asked of a run besides its settings.
+    """The request for a training besides its settings.
 
     Attributes:
         stage: The last stage to make, "auto" for rounds, or None for the usual one.
-        goal: What is given of the goal of rounds, by name.
+        goal: The given parts of the goal of rounds, by name.
         budget: The largest numbers of what may be asked of the world, by name.
         device: Where populations are evaluated: "cpu", "cuda", "cuda:N", or "auto" for the fastest.
         checkpoint_seconds: Seconds between two checkpoints of an evolution.
@@ -133,7 +133,7 @@ def begun(
         run = planned_run(folder, settings, domain_settings, anew=not new, domain=domain)
         _stage(run, request, {})
         if settings.data:
-            given_data(run)  # what is wrong with the files is said before anything is written
+            given_data(run)  # bad files are refused before anything is written
         ranks.wait()  # all have seen the folder before anyone writes
         if ranks.first():
             write_run(run)

@@ -84,7 +84,7 @@ def _first_data(training: Training, generator: Generator) -> Dataset:
 
 
 def _exploration(training: Training, generator: Generator, known: Dataset | None) -> Exploration:
-    """What an exploration works with; all that it asks is counted."""
+    """The inputs of an exploration, whose world actions are counted."""
     run, domain = training.run, training.run.domain
 
     def world(kind: str, count: int) -> Environment:
@@ -113,7 +113,7 @@ def _explored(training: Training) -> Dataset | None:
 
 
 def spent_of(purse: Purse) -> dict[str, dict[str, int]]:
-    """What was asked, by phase, as plain data."""
+    """World actions by phase, as plain data."""
     return {phase: asdict(asked) for phase, asked in purse.spent.items()}
 
 
@@ -158,7 +158,7 @@ def given_data(run: StoredRun) -> Dataset:
 
 
 def known_at_last(given: Dataset | None, found: Dataset) -> Dataset:
-    """What is known after an exploration that began with `given`.
+    """The data after an exploration that began with `given`.
 
     A domain's own way to explore may not have considered it.
     """

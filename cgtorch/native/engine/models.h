@@ -1,4 +1,4 @@
-/* What rollouts ask of learned models: cgtorch.simulation.ModelEnvironment.
+/* The interface of learned models for rollouts: cgtorch.simulation.ModelEnvironment.
 
    A source that runs rollouts in models of its own defines, before it includes rollout.h or
    resumable.h:

@@ -5,7 +5,7 @@
 #include "graph.h"
 #include "real.h"
 
-/* What children are made of, and room for what they are. */
+/* Inputs of breeding, and space for the children. */
 typedef struct {
   Graphs given, made;           /* of `made` N is what children may have */
   const int64_t *elite;         /* (E,) of `given` */

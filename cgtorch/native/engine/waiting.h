@@ -48,7 +48,7 @@ typedef struct {
   unsigned char *succeeded, *timed_out; /* (L,) */
   int64_t *executed;   /* (shares,) */
 
-  /* What Python is asked for: an action, or -1 where all lanes have ended, and for how many lanes.
+  /* The request to Python: an action, or -1 where all lanes have ended, and its number of lanes.
      Rows are copied unless these are all. */
   int64_t kind, asked, everyone, silent; /* `silent`: how many of them have no message */
   int64_t *asked_scenario, *asked_step;
@@ -56,7 +56,7 @@ typedef struct {
   unsigned char *asked_state, *asked_has;
   const int64_t *parameters, *held; /* (K,) addresses of (L, width) parameters, and of whose they are */
 
-  /* What Python has made of them: rows of tensors, NULL where nothing has changed, and outcomes as
+  /* The answer of Python: rows of tensors, NULL where nothing has changed, and outcomes as
      indices, as whether a control could be carried out, or as probabilities of success. */
   const real *new_percept, *new_message, *new_memory, *chance;
   const unsigned char *new_state, *new_has, *done;

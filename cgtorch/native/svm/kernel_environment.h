@@ -29,7 +29,7 @@ typedef Layout View;
 
 INLINE Layout layout_of(int64_t size) { return MAKE(Layout){(int)size}; }
 
-/* `within_bounds` of cgtorch.ground.fields; what is not a number stays so. */
+/* `within_bounds` of cgtorch.ground.fields; NaN stays NaN. */
 INLINE vec within(vec x, int64_t kind, real low, real high) {
   if (kind == ANGLE) {
     real middle = (low + high) / 2;

@@ -10,7 +10,7 @@
 #define MOST_THINGS (1 + (MOST_PERCEPT - 7) / 4)
 #define MOST_CORNERS (4 * MOST_THINGS)
 
-/* What is seen, and the corners of a route; `there` if a corner exists. */
+/* Things in the percept, and the corners of a route; `there` if a corner exists. */
 typedef struct {
   int count;
   Rectangle things[MOST_THINGS];

@@ -6,7 +6,7 @@
 
 #define TURN_STEPS 12 /* of 15 degrees */
 
-/* What a percept's length says: whether a side of the table is seen, and how many obstacles. */
+/* From a percept's length: whether a side of the table is seen, and the number of obstacles. */
 typedef struct {
   int size, side, boxes;
 } Layout;

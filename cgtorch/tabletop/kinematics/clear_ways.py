@@ -23,7 +23,7 @@ REACH, APPROACH, LIFT, CARRY, POSTURE = 1, 2, 4, 8, 16
 that are clear of table and body only."""
 MARGIN = 0.002  # m that is kept from everything
 RESOLUTION = MARGIN  # m that two solids may come nearer without another look, so that none touch
-COARSE = 0.1  # m: what may come nearer than that is measured in the halves of a way only
+COARSE = 0.1  # m: nearer solids are measured in the halves of a way only
 SHOULDER_JOINTS = 3
 """Joint limits keep links that at most this many joints move off the body; only the table can stop
 them."""

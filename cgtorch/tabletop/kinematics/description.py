@@ -40,7 +40,7 @@ class Arm:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """What grasping and driving need to know about a robot besides its URDF.
+    """The properties of a robot for grasping and driving that a URDF does not have.
 
     Attributes:
         base_frame: The link on the floor to which positions are relative (x forward, y left, z up).

@@ -3,7 +3,7 @@
 As in the PR2's manipulation pipeline, a posture is suitable if three conditions hold. The arm
 reaches the grasp and a pre-grasp behind it. It can follow the way between the two, and a straight
 lift, without changing posture. Nothing touches the table, the torso or the base at five places of
-that way. `arm_way` plans how the arm comes to the pre-grasp.
+that way. `arm_way` plans the way of the arm to the pre-grasp.
 """
 
 import math

@@ -46,7 +46,7 @@ class Robot:
         arms: In the description's order.
         body: The solids that an arm must not touch, in the base frame.
         home: (n,) of each arm, the positions of its joints while the robot drives, rad or m.
-        meshes: What was fitted to the meshes of its URDF; empty without meshes.
+        meshes: Shapes fitted to the meshes of its URDF; empty without meshes.
     """
 
     description: RobotDescription

@@ -1,4 +1,4 @@
-"""What an arm must keep clear of on its way, and its home posture, where every way begins."""
+"""Obstacles of an arm on its way, and its home posture, where every way begins."""
 
 import itertools
 import math
@@ -28,7 +28,7 @@ from cgtorch.tabletop.kinematics.clear_ways import (
 from cgtorch.tabletop.kinematics.solids import Solids
 
 ALWAYS = REACH | APPROACH | LIFT | CARRY
-OBJECT_RADIUS, OBJECT_HALF = 0.025, 0.05  # m, of the upright cylinder that an object is taken for
+OBJECT_RADIUS, OBJECT_HALF = 0.025, 0.05  # m, of the upright cylinder that stands for an object
 SPREAD = 200
 """The number of random postures that show which solids overlap by design."""
 BUILT_IN = 0.25
@@ -37,7 +37,7 @@ BITS = 62
 
 SAMPLES, TRIED = 16_384, 2048  # random postures for home, and how many of them are looked at
 CENTRE = 0.01  # m: an arm whose shoulder is nearer to the middle than this has no side of its own
-ABOVE = 1.0  # m: what is beyond the footprint stays above tables
+ABOVE = 1.0  # m: parts beyond the footprint stay above tables
 BELOW_COSTS = 4.0
 """The cost of being beyond the footprint and low, or on the other arm's side, relative to being far
 beyond the footprint."""

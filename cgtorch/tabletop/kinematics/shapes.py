@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-6  # m by which shapes are larger, so that what they are made for is inside
-THIN = 1e-3  # m: what is thinner is taken for so thick
+THIN = 1e-3  # minimum thickness, m
 MAX_FLATNESS = 400  # of a box: as many times as long as thick at most
 MOST_PARTS = 4  # shapes of one mesh
 WORTH = 0.9

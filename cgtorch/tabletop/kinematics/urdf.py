@@ -136,7 +136,7 @@ def checked_urdf(path: Path, root: Any) -> Urdf:
 
 
 def inertial_problem(link: Any) -> str:
-    """What is physically impossible about a link's inertia, "" if nothing is or it has none."""
+    """The physical fault of a link's inertia, "" if there is none."""
     inertial = link.inertial
     if inertial is None:
         return ""

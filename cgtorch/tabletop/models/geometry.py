@@ -1,4 +1,4 @@
-"""What geometry alone says about percepts, without data.
+"""Predictions of percepts by geometry alone, without data.
 
 Percepts are those of `cgtorch.tabletop.world.percepts`. A motion (..., 3) is dx, dy and dθ: the
 robot translates by (dx, dy) with its heading fixed, and then turns by dθ. Units are metres and

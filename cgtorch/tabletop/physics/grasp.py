@@ -75,7 +75,7 @@ class Hand:
         model, d = self.model, self.model.data
         lag = numpy.array([joint.lag for joint in model.arm])
         where = [joint.ctrl for joint in model.arm]
-        # What damps a servo would hold it back behind a target that moves.
+        # Damping holds a servo back behind a moving target.
         speed = numpy.gradient(rows, TICK, axis=0) if len(rows) > 1 else numpy.zeros_like(rows)
         for row in rows + lag * speed:
             d.ctrl[where] = row

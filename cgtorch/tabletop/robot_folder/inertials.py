@@ -9,7 +9,7 @@ from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf, inertia
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 DENSITY = 500.0  # kg/m³ of a link's box whose mass is not known
-LIGHT = 0.01  # kg: no link that moves is taken to be lighter
+LIGHT = 0.01  # minimum mass of a moving link, kg
 SMALL = 0.03  # m: sides of the box of a link without shapes
 UNBALANCED = 1.01  # of one moment of inertia to the sum of the two others
 

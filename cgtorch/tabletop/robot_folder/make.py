@@ -34,7 +34,7 @@ class Made:
         robot: The robot as loaded from the folder.
         meshes: The shapes fitted to meshes.
         inertials: Links whose mass or inertia was made up.
-        notes: What was added or assumed.
+        notes: Additions and assumptions.
         grasps: (9,) bool, which objects on a table in front of the robot can be grasped.
     """
 
@@ -103,7 +103,7 @@ def _corners(urdf: Urdf, meshes: tuple[MeshFit, ...]) -> dict[str, list[Array]]:
 
 
 def _record(each: MeshFit) -> dict[str, Any]:
-    """What was fitted to a mesh, for its file."""
+    """The shapes fitted to a mesh, for its file."""
     about = {"link": each.link, "file": each.file, "kind": each.kind}
     if each.fit is None:
         return {**about, "problem": each.problem}

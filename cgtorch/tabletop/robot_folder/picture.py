@@ -12,7 +12,7 @@ from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 VIEWS = (("from the right", 0, 2), ("from the front", 1, 2), ("from above", 0, 1))
-"""What is seen, and which of x, y and z go to the right and up."""
+"""The views, and which of x, y and z go to the right and up."""
 REST, BODY, ARMS = "#b0b7bf", "#4a5a6a", ("#d95f02", "#1b9e77", "#7570b3", "#e7298a")
 AXIS = 0.12  # m: how long the axes of a tool frame are drawn
 

@@ -21,14 +21,14 @@ PLACES = ("world", "map", "odom")
 """Names of root links that do not belong to the robot."""
 OFF_FLOOR = 0.02  # m that the lowest point may be from the base frame's plane
 LOW = 0.5  # m: shapes that begin below are seen by the footprint
-ABOVE_WHEELS = 0.3  # m: what ends below is where no arm comes
+ABOVE_WHEELS = 0.3  # m: no arm reaches shapes that end below
 SHOULDER = 1.0  # m above the floor, where a torso holds its arms
 UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
 
 
 @dataclass(frozen=True)
 class Wishes:
-    """The user's part of a description; what is None or empty is proposed.
+    """The user's part of a description; None or empty parts are proposed.
 
     Attributes:
         name: The name of the robot.
@@ -137,7 +137,7 @@ def _base(structure: Structure, wishes: Wishes, notes: list[str]) -> tuple[Urdf,
         "was added there"
     )
     root = etree.fromstring(urdf.xml)
-    if base != urdf.model.base_link:  # what holds the robot in a world is left out
+    if base != urdf.model.base_link:  # the joint that fixes the robot in a world is left out
         above = structure.above[base]
         for element in root.findall("joint"):
             if element.get("name") == above.name:

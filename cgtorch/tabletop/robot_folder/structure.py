@@ -14,7 +14,7 @@ from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf
 Array = NDArray[np.float64]
 
 LEAST_JOINTS = 5  # of a chain from the base to a hand
-ON_FLOOR = 0.05  # m: what comes as near to the lowest point of the robot stands on the floor
+ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
 _AROUND = 16  # points on a circle
 
 

@@ -60,7 +60,7 @@ class Page:
         self.scenes: list[Scene] = []
         self.timelines: list[Timeline] = []
         self.scenario = scenario_of(wish.scenarios, wish.count, wish.seed, 0)
-        self.shown: dict[int, object] = {}  # what is explained now, by the number of the skill
+        self.shown: dict[int, object] = {}  # the explained part, by the number of the skill
         self.clock: float | None = None  # when the first picture would have been due, if playing
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         server.gui.set_panel_label("cgtorch")
@@ -243,7 +243,7 @@ class Page:
 
 
 def _timeline(candidate: Candidate, scenario: Scenarios) -> Timeline:
-    """What a candidate does, as it is simulated or as it would be."""
+    """The motions of a candidate, simulated or as planned."""
     skill, domain, world = candidate.skill, candidate.domain, candidate.world(scenario)
     if isinstance(world, MujocoWorld):
         return simulated_timeline(skill, domain, scenario)

@@ -61,7 +61,7 @@ def _shortest(
     far = corner.norm(dim=2)
     length = _or_inf(far, there & (far > AWAY) & _possible(to_first, seen, footprint))
     first = torch.arange(j, device=corner.device).expand(n, j)
-    # What is seen after the turn, as if from the start.
+    # The percept after the turn, in the frame of the start.
     turned, things = rotate(corner, -turn[:, None]), _turned(seen, turn)
     goal = rotate(motion[:, :2], -turn)
     between = turned[:, None] - turned[:, :, None]
