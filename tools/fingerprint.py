@@ -35,7 +35,7 @@ KNOWN = Path(__file__).parent / "fingerprints.json"
 @click.option("--ranks", "counts", multiple=True, default=(1,), help="Ranks; may be repeated.")
 @click.option("--note", is_flag=True, help="Write the fingerprint down as this kind's.")
 def command(stage: str, seed: int, counts: Sequence[int], note: bool) -> None:
-    """Make a small run, print a fingerprint of all that it came to, and compare it."""
+    """Make a small run, print a fingerprint of its results, and compare it."""
     name = f"{stage} of seed {seed} on {kind_of_machine()}"
     known = json.loads(KNOWN.read_text())
     found = set()
@@ -52,7 +52,7 @@ def command(stage: str, seed: int, counts: Sequence[int], note: bool) -> None:
     elif {known[name]} == found:
         click.echo("the same as on another machine of this kind")
     else:
-        raise SystemExit(f"another machine of this kind came to {known[name]}")
+        raise SystemExit(f"another machine of this kind has {known[name]}")
 
 
 def fingerprint_of(found: set[str]) -> str:
@@ -90,7 +90,7 @@ def train(run: Path, stage: str, seed: int, ranks: int) -> None:
 
 
 def fingerprint(run: Path) -> str:
-    """16 hexadecimal digits of what a run came to."""
+    """16 hexadecimal digits of the results of a run."""
     results = json.dumps(results_of(run), sort_keys=True)
     return hashlib.sha256(results.encode()).hexdigest()[:16]
 

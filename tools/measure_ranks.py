@@ -43,7 +43,7 @@ def command(counts: Sequence[int], population: int, repeats: int, as_rank: bool)
         return
     found = {count: measured(count, population, repeats) for count in counts}
     if len({result["fitness"] for result in found.values()}) > 1:
-        raise click.ClickException("ranks came to different fitness")
+        raise click.ClickException("ranks computed different fitness")
     one = found[counts[0]]
     for count, result in found.items():
         speed = result["transitions"] / statistics.median(result["seconds"])

@@ -106,7 +106,7 @@ def passed(row: dict[str, Any], share: float) -> float:
 
 
 def worse(rows: Sequence[dict[str, Any]]) -> tuple[int, int]:
-    """How many of all replaced skills gave way to a worse one, and their number."""
+    """The number of skills that were replaced by a worse one, and of all that were replaced."""
     pairs = [
         (one[1], two[1])
         for row in rows
@@ -129,7 +129,7 @@ def table_of(rows: Sequence[dict[str, Any]]) -> str:
          f"{statistics.median(r['tests'] for r in rows):.0f}"),
         ("scenes looked at", f"{statistics.median(r['looks'] for r in rows):.0f}"),
         ("world actions until 85 % (most)", f"{statistics.median(first):.0f} ({max(first):.0f})"),
-        ("skills that gave way to a worse one", f"{count} of {of}"),
+        ("skills replaced by a worse one", f"{count} of {of}"),
         ("CPU seconds, median", f"{statistics.median(r['seconds'] for r in rows):.1f}"),
     ]  # fmt: skip
     return "\n".join(["| | |", "| --- | --- |", *(f"| {a} | {b} |" for a, b in lines)]) + "\n"

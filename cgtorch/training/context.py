@@ -35,8 +35,7 @@ Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
 
 
 SEARCHES = 2
-"""Evolutions of a specialist in the models, which take a second where trials in the world of what
-they find take a robot minutes."""
+"""Evolutions of a specialist in the models: a search takes 1 s, a trial on a robot minutes."""
 LOOKS = 64  # first percepts of fresh scenarios
 REPLAYS = 16  # of each scenario in the models, by which skills are compared
 LIVE_ATTEMPTS = 4  # times as many, where a candidate acts up to its first failure only

@@ -49,4 +49,4 @@ def test_one_seed_makes_a_table(share: float) -> None:
     row = {"course": [[9, share]], "success": share, "motions": 5, "tests": 4, "looks": 3}
     table = tool.table_of([row | {"seconds": 1.0}])
     assert f"| success, median (least) | {100 * share:.1f} % ({100 * share:.1f}) |" in table
-    assert "| skills that gave way to a worse one | 0 of 0 |" in table
+    assert "| skills replaced by a worse one | 0 of 0 |" in table
