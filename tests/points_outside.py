@@ -1,4 +1,7 @@
-"""How far points are from fitted shapes."""
+"""Shapes of links, and how far points are from them."""
+
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -16,3 +19,17 @@ def outside(shape: Shape, points: Array) -> Array:
     if shape.kind == "cylinder":
         return np.hypot((across - radius).clip(min=0), along.clip(min=0))
     return (np.hypot(across, along.clip(min=0)) - radius).clip(min=0)
+
+
+def shapes_of(link: Any, at: Array | None = None) -> Iterator[Shape]:
+    """The collision elements of a URDF's link at a pose (4, 4) as shapes."""
+    for collision in link.collisions:
+        g, origin = collision.geometry, collision.origin
+        assert g.mesh is None
+        pose = (np.eye(4) if at is None else at) @ (np.eye(4) if origin is None else origin)
+        if g.box is not None:
+            yield Shape("box", pose, tuple(g.box.size))
+        elif g.cylinder is not None:
+            yield Shape("cylinder", pose, (g.cylinder.radius, g.cylinder.length))
+        else:
+            yield Shape("sphere", pose, (g.sphere.radius,))

@@ -26,11 +26,9 @@ from cgtorch.tabletop.kinematics.meshes import package_places
 from cgtorch.tabletop.kinematics.scene import home_postures, scene_of
 from cgtorch.tabletop.kinematics.solids import (
     Solids,
-    fixed_solids,
     solid_of,
     solid_of_capsule,
     solids_of,
-    stacked,
     with_boxed_hand,
 )
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, load_urdf
@@ -262,12 +260,11 @@ def _moved_links(
 
 def _body(urdf: Urdf, words: RobotDescription, arm_joints: set[str]) -> Solids:
     """The shapes of links that an arm must not touch, in the base frame."""
-    poses, sizes = [], []
+    rows = []
     for name in words.body:
         _fixed_to_base(urdf, words, name, arm_joints, "body")
         link = _transform(urdf, name, words.base_frame)
         for collision in urdf.link(name).collisions:
             pose, size = solid_of(collision, f"link {name!r}")
-            poses.append((link @ pose)[:3])
-            sizes.append(size)
-    return fixed_solids(stacked(poses, 3, 4), stacked(sizes, 5))
+            rows.append((link @ pose, size, -1, 0))
+    return solids_of(rows)

@@ -94,17 +94,11 @@ def with_boxed_hand(solids: Solids, joints: int) -> Solids:
 
 def solids_of(shapes: list[tuple[Tensor, Tensor, int, int]]) -> Solids:
     """Solids from pose (4, 4), size (5,), frame and number of joints of each."""
-    return Solids(
-        pose=stacked([pose[:3] for pose, *_ in shapes], 3, 4),
-        size=stacked([size for _, size, *_ in shapes], 5),
-        frame=torch.tensor([frame for *_, frame, _ in shapes], dtype=torch.long),
-        joints=torch.tensor([joints for *_, joints in shapes], dtype=torch.long),
-    )
-
-
-def stacked(tensors: list[Tensor], *shape: int) -> Tensor:
-    """Tensors of a shape as one (k, *shape), also for k = 0."""
-    return torch.stack(tensors) if tensors else torch.zeros(0, *shape, dtype=torch.float64)
+    if not shapes:
+        return fixed_solids(torch.zeros(0, 3, 4).double(), torch.zeros(0, 5).double())
+    poses, sizes, frames, joints = zip(*shapes, strict=True)
+    pose, size = torch.stack(poses)[:, :3], torch.stack(sizes)
+    return Solids(pose, size, torch.tensor(frames), torch.tensor(joints))
 
 
 def fixed_solids(pose: Tensor, size: Tensor) -> Solids:

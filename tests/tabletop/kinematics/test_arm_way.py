@@ -1,18 +1,23 @@
 """Ways of arms, against yourdfpy's forward kinematics and points sampled on the URDF's shapes."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+import trimesh
+from points_outside import outside, shapes_of
 from support import tool_pose
 from test_grasping import random_scene
+from trimesh.transformations import rotation_matrix, translation_matrix
 
 from cgtorch.tabletop.kinematics import arm_ways, graspable, has_posture
 from cgtorch.tabletop.kinematics.clear_ways import MARGIN
 from cgtorch.tabletop.kinematics.grasp_lines import HALF, LINE
 from cgtorch.tabletop.kinematics.grasping import APPROACHES, GRASP_HEIGHT, waypoints
 from cgtorch.tabletop.kinematics.scene import OBJECT_RADIUS
+from cgtorch.tabletop.kinematics.shapes import Shape
 
 OFF_LINE = 0.002  # m
 STEP = 0.05  # rad: how finely a way is looked at by the slow reference
@@ -73,117 +78,72 @@ def test_ways_back_lead_home(robot_and_ways):
         torch.testing.assert_close(back[-1], home, atol=1e-6, rtol=0)
 
 
-def shapes_of(robot, arm):
-    """Of each colliding link of an arm: name, pose, and sizes of its elements in the link."""
-    urdf, links = robot.urdf, []
+def links_of(robot, arm):
+    """The colliding links of an arm."""
     base = next(a.base_link for a in robot.description.arms if a.name == arm.name)
-    for link in urdf.model.robot.links:
-        joints = [j.name for j in urdf.joints_above(link.name, base)]
-        if link.collisions and set(joints) & set(arm.joint_names):
-            links.append(link)
-    return links
+    for link in robot.urdf.model.robot.links:
+        joints = {joint.name for joint in robot.urdf.joints_above(link.name, base)}
+        if link.collisions and joints & set(arm.joint_names):
+            yield link
 
 
-def sampled(geometry, generator, count=150):
-    """Points on the surface of a box, a cylinder or a sphere."""
-    if geometry.box is not None:
-        points = generator.uniform(-0.5, 0.5, (count, 3))
-        side = generator.integers(3, size=count)
-        points[np.arange(count), side] = np.sign(points[np.arange(count), side]) / 2
-        return points * np.array(geometry.box.size, dtype=float)
-    way = generator.normal(size=(count, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    if geometry.sphere is not None:
-        return way * geometry.sphere.radius
-    radius, half = geometry.cylinder.radius, geometry.cylinder.length / 2
-    flat = way[:, :2] / np.linalg.norm(way[:, :2], axis=1, keepdims=True)
-    z = generator.uniform(-half, half, count)
-    ends = generator.uniform(size=count) < 0.4
-    z[ends] = np.sign(z[ends]) * half
-    return np.column_stack(
-        [flat * radius * np.where(ends, generator.uniform(size=count), 1)[:, None], z]
-    )
+def on_surface(shape):
+    """Points (V, 3) on a shape."""
+    if shape.kind == "box":
+        mesh = trimesh.creation.box(shape.sizes)
+    elif shape.kind == "sphere":
+        mesh = trimesh.creation.icosphere(3, *shape.sizes)
+    else:
+        mesh = trimesh.creation.cylinder(*shape.sizes, sections=64)
+    return trimesh.sample.sample_surface(mesh.apply_transform(shape.pose), 150, seed=0)[0]
 
 
-def depth(points, geometry):
-    """How deep points are within a shape, at least 0, m."""
-    if geometry.box is not None:
-        out = np.array(geometry.box.size, dtype=float) / 2 - np.abs(points)
-        return out.min(axis=-1).clip(0)
-    if geometry.sphere is not None:
-        return (geometry.sphere.radius - np.linalg.norm(points, axis=-1)).clip(0)
-    side = geometry.cylinder.radius - np.linalg.norm(points[..., :2], axis=-1)
-    return np.minimum(side, geometry.cylinder.length / 2 - np.abs(points[..., 2])).clip(0)
-
-
-def box(x, y, z):
-    return type("Geometry", (), {"box": type("Box", (), {"size": (x, y, z)}), "sphere": None})
-
-
-def pose_of(collision):
-    return np.eye(4) if collision.origin is None else collision.origin
-
-
-def within(points, pose):
-    return (points - pose[:3, 3]) @ pose[:3, :3]
+def none_inside(shape, points):
+    """Whether no point is deeper within a shape than rounding."""
+    twice = shape.kind == "box", shape.kind != "sphere"
+    sizes = [size - ROUNDING * (1 + twice[i > 0]) for i, size in enumerate(shape.sizes)]
+    return (outside(replace(shape, sizes=tuple(sizes)), points) > 0).all()
 
 
 def test_ways_touch_nothing(robot_and_ways):
     """Neither table, body, other arm nor object, and the gripper not the forearm."""
     robot, position, table, ways = robot_and_ways
-    generator = np.random.default_rng(0)
-    model = robot.urdf.model
-    for name, position_ in robot.description.held.items():
-        model.update_cfg({name: position_})
+    model, frame = robot.urdf.model, robot.description.base_frame
+    at_home = dict(robot.description.held)
+    for arm, home in zip(robot.arms, robot.home, strict=True):
+        at_home.update(zip(arm.joint_names, home.tolist(), strict=True))
     planned = (ways.found & (ways.pre_grasp > 1)).nonzero()[:, 0].tolist()
     for row in (planned[:2] + rows_of(ways)[::40])[:6]:
-        which = int(ways.arm[row])
-        arm, frame = robot.arms[which], robot.description.base_frame
-        cfg = dict(robot.description.held)
-        for other, home in zip(robot.arms, robot.home, strict=True):
-            cfg.update(zip(other.joint_names, home.tolist(), strict=True))
-        links = shapes_of(robot, arm)
+        arm = robot.arms[int(ways.arm[row])]
+        links = list(links_of(robot, arm))
         points = {
-            link.name: np.concatenate([
-                sampled(c.geometry, generator) @ pose_of(c)[:3, :3].T + pose_of(c)[:3, 3]
-                for c in link.collisions
-            ])
+            link.name: np.concatenate([on_surface(shape) for shape in shapes_of(link)])
             for link in links
-        }  # fmt: skip
-        model.update_cfg(cfg)
+        }
+        model.update_cfg(at_home)
         still = [
-            (model.get_transform(link.name, frame) @ pose_of(c), c.geometry)
-            for other in robot.arms if other is not arm for link in shapes_of(robot, other)
-            for c in link.collisions
+            shape for other in robot.arms if other is not arm for link in links_of(robot, other)
+            for shape in shapes_of(link, model.get_transform(link.name, frame))
         ]  # fmt: skip
         x, y, yaw, long, wide, top = table[row].double().tolist()
-        slab = np.eye(4)
-        slab[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+        slab = rotation_matrix(yaw, [0, 0, 1])
         slab[:3, 3] = x, y, top - 0.02
-        pre = int(ways.pre_grasp[row])
+        still.append(Shape("box", slab, (long, wide, 0.04)))
+        upright = translation_matrix([*position[row, :2].tolist(), top + GRASP_HEIGHT])
+        thing = Shape("cylinder", upright, (OBJECT_RADIUS, 2 * GRASP_HEIGHT))
         way = ways.joints[row, : int(ways.lifted[row]) + 1].double()
-        before = len(densely(way[: pre + 1]))
+        before = len(densely(way[: int(ways.pre_grasp[row]) + 1]))
         for k, q in enumerate(densely(way)[::2]):
-            model.update_cfg({**cfg, **dict(zip(arm.joint_names, q.tolist(), strict=True))})
-            placed = {}
-            for link in links:
-                at = model.get_transform(link.name, frame)
-                placed[link.name] = points[link.name] @ at[:3, :3].T + at[:3, 3]
+            model.update_cfg({**at_home, **dict(zip(arm.joint_names, q.tolist(), strict=True))})
+            at = {link.name: model.get_transform(link.name, frame) for link in links}
+            placed = {name: points[name] @ to[:3, :3].T + to[:3, 3] for name, to in at.items()}
             every = np.concatenate(list(placed.values()))
-            assert depth(within(every, slab), box(long, wide, 0.04)).max() < ROUNDING
-            for pose, geometry in still:
-                assert depth(within(every, pose), geometry).max() < ROUNDING
-            if 2 * k < before:
-                away = every - np.append(position[row, :2].numpy(), top + GRASP_HEIGHT)
-                side = OBJECT_RADIUS - np.linalg.norm(away[:, :2], axis=1)
-                assert np.minimum(side, GRASP_HEIGHT - np.abs(away[:, 2])).max() < ROUNDING
-            fingers = [p for name, p in placed.items() if "finger" in name]
+            assert all(none_inside(shape, every) for shape in still)
+            assert 2 * k >= before or none_inside(thing, every)
+            fingers = np.concatenate([p for name, p in placed.items() if "finger" in name])
             for link in links:
                 if "forearm" in link.name:
-                    at = model.get_transform(link.name, frame)
-                    for c in link.collisions:
-                        inside = depth(within(np.concatenate(fingers), at @ pose_of(c)), c.geometry)
-                        assert inside.max() < ROUNDING
+                    assert all(none_inside(s, fingers) for s in shapes_of(link, at[link.name]))
 
 
 def test_what_has_a_way_is_graspable_and_has_a_posture(robot_and_ways):

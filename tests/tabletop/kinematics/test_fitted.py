@@ -6,12 +6,11 @@ import mesh_robot
 import numpy as np
 import pytest
 import trimesh
-from points_outside import outside
+from points_outside import outside, shapes_of
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
 from cgtorch.tabletop.kinematics.fitted import without_meshes
-from cgtorch.tabletop.kinematics.shapes import Shape
 
 MESHES = mesh_robot.meshes()
 
@@ -19,19 +18,6 @@ MESHES = mesh_robot.meshes()
 @pytest.fixture
 def urdf(tmp_path):
     return mesh_robot.write_package(tmp_path)
-
-
-def shapes_of(link):
-    """The collision elements of a link as shapes."""
-    for collision in link.collisions:
-        g = collision.geometry
-        assert g.mesh is None
-        if g.box is not None:
-            yield Shape("box", collision.origin, tuple(g.box.size))
-        elif g.cylinder is not None:
-            yield Shape("cylinder", collision.origin, (g.cylinder.radius, g.cylinder.length))
-        else:
-            yield Shape("sphere", collision.origin, (g.sphere.radius,))
 
 
 def test_every_mesh_lies_inside_the_shapes_of_its_link(urdf):
