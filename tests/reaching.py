@@ -1,6 +1,6 @@
 """A tabletop with a formula for its arms, and models that were really fitted to its world."""
 
-from functools import cache, partial
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,7 +8,7 @@ import torch
 from support import FOOTPRINT, seeded
 from torch import Tensor
 
-from cgtorch.domains.knowledge import Knowledge, learn
+from cgtorch.domains.knowledge import Knowledge
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.ground.environment import Dataset
 from cgtorch.improvement.setup import Budget, Setup
@@ -64,7 +64,7 @@ def small_setup() -> Setup[Scenarios]:
         actions=paper_actions(),
         world_of=world_of,
         imagine=imagined,
-        learn=partial(learn, TABLE),
+        learn=TABLE_MODELS.learn,
         evolution=EvolutionSettings(population=60, capacity=12),
         budget=Budget(generations=12),
         attempts=4,

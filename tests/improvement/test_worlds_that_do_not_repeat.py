@@ -233,7 +233,7 @@ def test_success_that_is_none_stays_a_fact(
     after, told = improved(first_stage(), many(count), along("near"), **how)
     assert not of_kind(told, ChanceFound)
     assert len([e for e in of_kind(told, WorldAsked) if e.phase == "other noise"]) == asked
-    assert after.skill is not None
     assert not after.chance
     if "noisy" in world:
+        assert after.skill is not None
         assert try_skill(after.skill, world_of(after.solved)).succeeded.all()
