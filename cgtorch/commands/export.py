@@ -65,11 +65,10 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **abo
         from cgtorch.domains.data_files import write_data
         from cgtorch.runs.chosen import stored_data
 
-        found = stored_data(path, about["name"], about["actions"], about["domain"])
-        data, domain = found.dataset, found.run.domain
-        write_data(output, data, domain.percept, domain.control)
+        run, part, data = stored_data(path, about["name"], about["actions"], about["domain"])
+        write_data(output, data, run.domain.percept, run.domain.control)
         counts = f"{len(data.percept)} transitions and {len(data.tested)} tests"
-        click.echo(f"data of {found.part}: {output}, {counts}")
+        click.echo(f"data of {part}: {output}, {counts}")
         return
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.export import SIZED

@@ -79,22 +79,13 @@ class Estimate:
         return left + evolutions * (self._limit * self._per_generation + self._between)
 
 
-@dataclass(frozen=True)
-class Count:
-    """So much of some work is done, of so much in all, `seconds` after it began."""
-
-    done: int
-    total: int
-    seconds: float
-
-    @property
-    def text(self) -> str:
-        """How much is done, how fast, and how much longer it takes if it goes on like that."""
-        text = f"{self.done:,} of {self.total:,}"
-        if not self.done or self.seconds <= 0:
-            return text
-        speed = self.done / self.seconds
-        return f"{text}, {speed:.3g}/s, left {as_time((self.total - self.done) / speed)}"
+def count_text(done: int, total: int, seconds: float) -> str:
+    """How much is done `seconds` after work began, how fast, and how much longer it takes."""
+    text = f"{done:,} of {total:,}"
+    if not done or seconds <= 0:
+        return text
+    speed = done / seconds
+    return f"{text}, {speed:.3g}/s, left {as_time((total - done) / speed)}"
 
 
 def _smoothed(past: float | None, value: float) -> float:
@@ -122,7 +113,7 @@ class ProgressDisplay:
         self._tried = self._solved = 0
         self._working: list[tuple[str, float, Spinner]] = []
         # Of counted work: when it began, when a line last told of it, and how far it is.
-        self._counts: dict[str, tuple[float, float, Count]] = {}
+        self._counts: dict[str, tuple[float, float, str]] = {}
 
     def __enter__(self) -> Self:
         """Begin; elapsed time counts from here."""
@@ -195,12 +186,12 @@ class ProgressDisplay:
         """Show how much is done of long work, until all is; see `cgtorch.native.processes`."""
         now = time.monotonic()
         began, told, _ = self._counts.pop(what, (now, now, None)) if done else (now, now, None)
-        count = Count(done, total, now - began)
-        if done < total and now - told >= OFTEN:
-            self._plain(f"{what}: {count.text}")
-            told = now
         if done < total:
-            self._counts[what] = began, told, count
+            text = count_text(done, total, now - began)
+            if now - told >= OFTEN:
+                self._plain(f"{what}: {text}")
+                told = now
+            self._counts[what] = began, told, text
 
     def say(self, line: str, style: str = "") -> None:
         """Print a line that stays, unless quiet."""
@@ -235,7 +226,7 @@ class ProgressDisplay:
             frame = cast(Text, spinner.render(now))
             lines.append(_line(frame, f" {message} … {as_time(now - began)}"))
         for what, (_, _, done) in list(self._counts.items()):
-            lines.append(_line((f"  {what}: {done.text}", "dim")))
+            lines.append(_line((f"  {what}: {done}", "dim")))
         return Group(*lines)
 
 

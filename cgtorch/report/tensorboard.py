@@ -64,7 +64,7 @@ class TensorBoardWatch:
 
         Args:
             folder: The folder of the event files.
-            settings: Hyper-parameters by name.
+            settings: Hyper-parameters by name, also for the HPARAMS tab.
             first_step: Number of first models (one step), generations and stages so far, if a run
                 is resumed. TensorBoard hides data of earlier files from this step on.
             recalled: Number of these generations that will be reported as recalled.
@@ -74,12 +74,30 @@ class TensorBoardWatch:
             picture_seconds: Least time between pictures of later models, and of graphs that are not
                 accepted yet.
         """
-        self._records = Records(folder, settings, METRICS, first_step)
+        from torch.utils.tensorboard import SummaryWriter
+        from torch.utils.tensorboard.summary import hparams
+
+        try:
+            self._writer = SummaryWriter(str(folder), purge_step=first_step or None, flush_secs=10)
+        except OSError as e:
+            reason = e.strerror or str(e)
+            raise RunError(
+                f"cannot write TensorBoard files to {str(folder)!r} ({reason}); check the folder"
+            ) from e
         self.step, self._first, self._folder = first_step - recalled, first_step, Path(folder)
         self._actions, self._draw_scenarios = actions, draw_scenarios
         self._picture_seconds, self._last_picture = picture_seconds, dict[str, float]()
         self._latest: tuple[str, Population] | None = None
         self._in_stage = False
+        self._waiting: list[tuple[Mapping[str, float], int, float]] = []
+        plain = {k: v if isinstance(v, bool | int | float | str) else str(v)
+                 for k, v in settings.items()}  # fmt: skip
+        experiment, begin, self._session_end = hparams(plain, dict.fromkeys(METRICS, 0.0))
+        self._writer.file_writer.add_summary(experiment)
+        self._writer.file_writer.add_summary(begin)
+        rows = [f"| {k} | {v} |" for k, v in plain.items()]
+        self._writer.add_text("settings", "\n".join(["| setting | value |", "|---|---|", *rows]))
+        self._writer.flush()
 
     def __call__(self, event: events.Event) -> None:
         """Write the data of an event."""
@@ -92,7 +110,7 @@ class TensorBoardWatch:
                 self._latest = event.candidate, event.found.champion
                 return
             case events.AboutToKeep():
-                self._records.flush()
+                self.flush()
                 return
         self._evolution_over()
         match event:
@@ -102,18 +120,20 @@ class TensorBoardWatch:
             case events.ModelsFitted():
                 self._models(event)
             case events.WorldTested():
-                self._scalars({"world/solved_W": event.solved_w, "world/solved_M": event.solved_m})
+                self.scalars({"world/solved_W": event.solved_w, "world/solved_M": event.solved_m})
             case events.SkillAccepted():
                 self._accepted(event)
             case events.FreshTested():
-                self._scalars({"world/fresh_rate": event.succeeded / max(1, event.tried)})
+                self.scalars({"world/fresh_rate": event.succeeded / max(1, event.tried)})
                 if event.mean_return is not None:
-                    self._scalars({"world/mean_return": event.mean_return})
+                    self.scalars({"world/mean_return": event.mean_return})
 
     def close(self) -> None:
         """Draw the remaining pictures, and finish the file."""
         self._evolution_over()
-        self._records.close()
+        self._write_waiting()
+        self._writer.file_writer.add_summary(self._session_end)
+        self._writer.close()
 
     def __enter__(self) -> Self:
         """The watch itself."""
@@ -129,10 +149,10 @@ class TensorBoardWatch:
         generation, row = event.generation, generation_row(event)
         values = {tag: _number(row, column) for column, tag in COLUMNS.items()}
         speed = generation.executed / max(event.seconds, 1e-9)
-        self._scalars(values | {"speed/transitions_per_second": speed})
+        self.scalars(values | {"speed/transitions_per_second": speed})
         if generation.number % SPREAD_EVERY == 0:
             strategy = generation.population.strategy.cpu()
-            self._records.write(histograms(STRATEGY_TAGS, strategy, BINS), self.step)
+            self.write(histograms(STRATEGY_TAGS, strategy, BINS))
         self._latest = event.candidate, generation.champion
         self.step += 1
 
@@ -143,7 +163,7 @@ class TensorBoardWatch:
             return
         if not self._soon("graph/best"):
             name, champion = latest
-            self._picture("graph/best", draw_skill(Skill(name, champion.graphs, self._actions)))
+            self.picture("graph/best", draw_skill(Skill(name, champion.graphs, self._actions)))
 
     def _soon(self, tag: str) -> bool:
         """Whether it is too soon for another picture of something that is replaced quickly."""
@@ -154,16 +174,16 @@ class TensorBoardWatch:
         return False
 
     def _models(self, event: events.ModelsFitted) -> None:
-        self._scalars({"models/fit_seconds": event.seconds})
+        self.scalars({"models/fit_seconds": event.seconds})
         summary = event.summary
-        self._scalars(summary.scalars)
+        self.scalars(summary.scalars)
         if not summary.first:
             return
         if "classifier" in summary.reports and not self._soon("classifier/reliability"):
             curve = summary.reports["classifier"].reliability
-            self._picture("classifier/reliability", draw_reliability(curve, of="held-out labels"))
+            self.picture("classifier/reliability", draw_reliability(curve, of="held-out labels"))
         self._curves(summary.reports)
-        self._records.flush()
+        self.flush()
         self.step += 1  # so that all generations can be hidden, not the first models
 
     def _curves(self, reports: Mapping[str, Any]) -> None:
@@ -180,71 +200,28 @@ class TensorBoardWatch:
                         writer.add_scalar(tag, sum(folds) / len(folds), size)
 
     def _accepted(self, event: events.SkillAccepted[Any]) -> None:
-        self._scalars({"stage/targets": int(event.succeeded[event.targets].sum())})
-        self._picture("graph/best", draw_skill(event.skill))
+        self.scalars({"stage/targets": int(event.succeeded[event.targets].sum())})
+        self.picture("graph/best", draw_skill(event.skill))
         if self._draw_scenarios is not None:
             about = event.scenarios, event.succeeded, event.targets, event.stage
             if (picture := self._draw_scenarios(*about)) is not None:
-                self._picture("scenarios/solved", picture)
-        self._records.flush()
+                self.picture("scenarios/solved", picture)
+        self.flush()
 
-    def _scalars(self, values: Mapping[str, float]) -> None:
-        self._records.scalars(values, self.step)
-
-    def _picture(self, tag: str, figure: "Figure") -> None:
-        self._records.picture(tag, figure, self.step)
-
-
-def _number(row: Row, column: str) -> float:
-    return float("nan") if row[column] is None else row[column]
-
-
-class Records:
-    """An open event file, whose records are few and written together."""
-
-    def __init__(
-        self, folder: Path | str, settings: Mapping[str, object], metrics: Sequence[str], first: int
-    ):
-        """Open the file and write hyper-parameters, and the tags of the HPARAMS tab.
-
-        TensorBoard hides data of earlier files from step `first` on, and keeps earlier data.
-        RunError if the folder cannot be written.
-        """
-        from torch.utils.tensorboard import SummaryWriter
-        from torch.utils.tensorboard.summary import hparams
-
-        try:
-            self._writer = SummaryWriter(str(folder), purge_step=first or None, flush_secs=10)
-        except OSError as e:
-            reason = e.strerror or str(e)
-            raise RunError(
-                f"cannot write TensorBoard files to {str(folder)!r} ({reason}); check the folder"
-            ) from e
-        self._first = first
-        self._waiting: list[tuple[Mapping[str, float], int, float]] = []
-        plain = {k: v if isinstance(v, bool | int | float | str) else str(v)
-                 for k, v in settings.items()}  # fmt: skip
-        experiment, begin, self._session_end = hparams(plain, dict.fromkeys(metrics, 0.0))
-        self._writer.file_writer.add_summary(experiment)
-        self._writer.file_writer.add_summary(begin)
-        rows = [f"| {k} | {v} |" for k, v in plain.items()]
-        self._writer.add_text("settings", "\n".join(["| setting | value |", "|---|---|", *rows]))
-        self._writer.flush()
-
-    def scalars(self, values: Mapping[str, float], step: int) -> None:
+    def scalars(self, values: Mapping[str, float]) -> None:
         """Write scalars as one record, which is far cheaper than one record each.
 
         Records within `SOON` seconds are written together, because the work between two generations
         leaves little of TensorBoard's code in the CPU's caches.
         """
-        if step < self._first:
+        if self.step < self._first:
             return
         now = time.time()
-        self._waiting.append((values, step, now))
+        self._waiting.append((values, self.step, now))
         if now - self._waiting[0][2] > SOON:
             self._write_waiting()
 
-    def picture(self, tag: str, figure: "Figure", step: int) -> None:
+    def picture(self, tag: str, figure: "Figure") -> None:
         """Write an image."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from tensorboard.compat.proto.summary_pb2 import Summary
@@ -255,24 +232,18 @@ class Records:
         canvas.print_png(out)
         about = {"height": height, "width": width, "colorspace": 4}
         image = Summary.Image(**about, encoded_image_string=out.getvalue())
-        self.write(Summary(value=[Summary.Value(tag=tag, image=image)]), step)
+        self.write(Summary(value=[Summary.Value(tag=tag, image=image)]))
 
-    def write(self, summary: "Summary", step: int) -> None:
+    def write(self, summary: "Summary") -> None:
         """Write a record of any kind."""
-        if step >= self._first:
+        if self.step >= self._first:
             self._write_waiting()
-            self._writer.file_writer.add_summary(summary, step)
+            self._writer.file_writer.add_summary(summary, self.step)
 
     def flush(self) -> None:
         """Write all waiting records to the file."""
         self._write_waiting()
         self._writer.flush()
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._write_waiting()
-        self._writer.file_writer.add_summary(self._session_end)
-        self._writer.close()
 
     def _write_waiting(self) -> None:
         from tensorboard.compat.proto.summary_pb2 import Summary
@@ -281,6 +252,10 @@ class Records:
         for values, step, when in waiting:
             entries = [Summary.Value(tag=tag, simple_value=v) for tag, v in values.items()]
             self._writer.file_writer.add_summary(Summary(value=entries), step, when)
+
+
+def _number(row: Row, column: str) -> float:
+    return float("nan") if row[column] is None else row[column]
 
 
 def histograms(tags: Sequence[str], values: Tensor, bins: int) -> "Summary":

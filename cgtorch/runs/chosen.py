@@ -1,6 +1,6 @@
 """Skills and data from command-line arguments: of a run, of a stage, or of a file."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,10 +98,6 @@ def last_skill(
     raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
 
 
-def _variants(domain: Domain[Any], kind: str) -> Iterable[Domain[Any]]:
-    return domain.variants(kind) if isinstance(domain, Adaptable) else (domain,)
-
-
 def lone_skill(
     path: Path, names: Sequence[str] = (), kind: str | None = None, domain: str = RunSettings.domain
 ) -> tuple[Domain[Any], str, Skill]:
@@ -115,7 +111,7 @@ def lone_skill(
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(made.kinds)}")
     errors: list[GraphError | ActionError] = []
     known = set[str]()
-    for variant in _variants(made, kind):
+    for variant in made.variants(kind) if isinstance(made, Adaptable) else (made,):
         sizes = len(variant.percept), len(variant.control)
         actions = resolve_actions(names, variant.actions(), sizes)
         known.update(actions.names)
@@ -140,28 +136,14 @@ def lone_skill(
     )
 
 
-@dataclass(frozen=True)
-class StoredData:
-    """The data of a part of a run, such as "auto-1" or "start"."""
-
-    run: StoredRun
-    part: str
-    dataset: Dataset
-
-
 def stored_data(
     path: Path, name: str | None = None, trusted: Sequence[str] = (), domain: str | None = None
-) -> StoredData:
-    """The data of a run, or of a stage such as RUN/S1, those kept aside to judge models last.
+) -> tuple[StoredRun, str, Dataset]:
+    """A run, the name of a part of it, and its data, those kept aside to judge models last.
 
-    Args:
-        path: A run, or a stage in it.
-        name: A stage or round of the run, or "start"; by default the last one.
-        trusted: See `read_run`.
-        domain: See `read_run`.
-
-    Raises:
-        RunError: There is no such run or stage, or it is stored without data.
+    The part is `name`, or that of a path such as RUN/S1, or the last stage or round, or "start".
+    For `trusted` and `domain` see `read_run`. RunError if there is no such run or part, or it is
+    stored without data.
     """
     if name is None and path.is_dir() and not (path / "run.json").exists():
         run, part = read_run(path.absolute().parent, trusted, domain), path.absolute().name
@@ -178,4 +160,4 @@ def stored_data(
             "learned; give another run"
         )
     data = load_dataset(folder / DATA).extended(load_dataset(folder / ASIDE))
-    return StoredData(run, part, data)
+    return run, part, data

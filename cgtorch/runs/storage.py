@@ -72,35 +72,24 @@ def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) ->
     save_model(folder / CLASSIFIER, knowledge.classifier, knowledge.classifier_report)
 
 
-Models: TypeAlias = tuple[TransitionModel, SuccessClassifier, TransitionReport, SuccessReport]
-"""Γ and C with the reports of their fits."""
-
-
 def load_knowledge(folder: Path, unfitted: Unfitted) -> Knowledge:
     """Read data, Γ and C from a folder.
 
     ModelError if a model file is damaged; RunError if it is another model's, or has no report.
     """
-    gamma, classifier, report, second = load_models(folder, unfitted)
-    data = load_dataset(folder / DATA)
-    aside = load_dataset(folder / ASIDE)
-    return Knowledge(data, gamma, swift_gamma(gamma, data), classifier, report, second, aside)
-
-
-def load_models(folder: Path, unfitted: Unfitted) -> Models:
-    """Read Γ and C without the data; for errors see `load_knowledge`."""
-    gamma, first_report = load_model_and_report(folder / GAMMA, unfitted)
-    classifier, second_report = load_model_and_report(folder / CLASSIFIER, unfitted)
+    gamma, about_gamma = load_model_and_report(folder / GAMMA, unfitted)
+    classifier, about_c = load_model_and_report(folder / CLASSIFIER, unfitted)
     if not isinstance(gamma, TransitionModel) or not isinstance(classifier, SuccessClassifier):
         raise RunError(f"{str(folder)!r} holds other models than Γ and C; restore the files")
     try:
-        choices = tuple(None if c is None else Choice(**c) for c in first_report["choice"])
-        gamma_report = TransitionReport(**{**_fields(first_report), "choice": choices})
-        choice = Choice(**second_report["choice"])
-        report = SuccessReport(**{**_fields(second_report), "choice": choice})
+        choices = tuple(None if c is None else Choice(**c) for c in about_gamma["choice"])
+        gamma_report = TransitionReport(**{**_fields(about_gamma), "choice": choices})
+        report = SuccessReport(**{**_fields(about_c), "choice": Choice(**about_c["choice"])})
     except (TypeError, KeyError, RecursionError) as e:
         raise RunError(f"the reports of the models in {str(folder)!r} are damaged ({e})") from e
-    return gamma, classifier, gamma_report, report
+    data, aside = load_dataset(folder / DATA), load_dataset(folder / ASIDE)
+    swift = swift_gamma(gamma, data)
+    return Knowledge(data, gamma, swift, classifier, gamma_report, report, aside)
 
 
 def _fields(report: dict[str, Any]) -> dict[str, Any]:
@@ -138,15 +127,20 @@ def scenarios_from_list(data: Any, like: ScenarioBatch, where: str) -> ScenarioB
     if not isinstance(data, list):
         raise RunError(f"{where} is {data!r:.40}; give a list of scenarios")
     parts: dict[str, Tensor] = vars(like)
-    wanted = {name for name, value in parts.items() if math.prod(value.shape[1:])}
+    wanted = {name: part[:1] for name, part in parts.items() if math.prod(part.shape[1:])}
     for i, row in enumerate(data):
-        if not isinstance(row, dict) or set(row) != wanted:
+        if not isinstance(row, dict) or set(row) != set(wanted):
             raise RunError(
                 f"scenario {i} of {where} is {row!r:.60}; give {', '.join(sorted(wanted))}"
             )
-        for name in wanted:
-            shape, dtype = parts[name].shape[1:], parts[name].dtype
-            _check_numbers(row[name], shape, dtype, f"{name} of scenario {i} of {where}")
+        for name, part in wanted.items():
+            if not _holds(row[name], part.shape[1:], part.dtype):
+                whole = "true or false" if part.dtype == torch.bool else "whole numbers"
+                kind = "finite numbers" if part.dtype.is_floating_point else whole
+                raise RunError(
+                    f"{name} of scenario {i} of {where} is {row[name]!r:.60}; give {kind} of shape "
+                    f"{tuple(part.shape[1:])}"
+                )
     made = {
         name: torch.tensor([row[name] for row in data if name in wanted], dtype=value.dtype).view(
             len(data), *value.shape[1:]
@@ -156,21 +150,16 @@ def scenarios_from_list(data: Any, like: ScenarioBatch, where: str) -> ScenarioB
     return type(like)(**made)
 
 
-def _check_numbers(values: Any, shape: Sequence[int], dtype: torch.dtype, what: str) -> None:
-    """RunError unless values are nested lists of that shape with numbers of that type."""
+def _holds(values: Any, shape: Sequence[int], dtype: torch.dtype) -> bool:
+    """Whether values are nested lists of that shape with numbers of that type."""
     if shape:
-        if not isinstance(values, list) or len(values) != shape[0]:
-            raise RunError(f"{what} is {values!r:.60}; give a list of {shape[0]}")
-        for value in values:
-            _check_numbers(value, shape[1:], dtype, what)
-    elif dtype == torch.bool:
-        if not isinstance(values, bool):
-            raise RunError(f"{what} is {values!r:.60}; give true or false")
-    elif dtype.is_floating_point:
-        if type(values) not in (int, float) or not abs(values) < 1e15:
-            raise RunError(f"{what} is {values!r:.60}; give finite numbers")
-    elif type(values) is not int or not -(2**63) <= values < 2**63:
-        raise RunError(f"{what} is {values!r:.60}; give whole numbers")
+        whole = isinstance(values, list) and len(values) == shape[0]
+        return whole and all(_holds(value, shape[1:], dtype) for value in values)
+    if dtype == torch.bool:
+        return isinstance(values, bool)
+    if dtype.is_floating_point:
+        return type(values) in (int, float) and abs(values) < 1e15
+    return type(values) is int and -(2**63) <= values < 2**63
 
 
 WAS = ("W", "M", "new")

@@ -269,8 +269,11 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(domain.kinds)}")
     if isinstance(domain, Adaptable):
         domain = domain.for_run(kind, settings.method)
-    if driver or not domain.repeats:
-        _check_alone()
+    if (driver or not domain.repeats) and (count := ranks.count()) > 1:
+        raise SettingsError(
+            f"the world does not repeat itself, which {count} processes cannot share; train with "
+            "one"
+        )
     if driver:
         domain = on_robot(domain, make_driver(driver), JsonLines(folder / LOG))
     elif isinstance(domain, DriverDomain):
@@ -293,14 +296,6 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
             "evolved in the world itself: models 'none' (--models none)"
         )
     return run
-
-
-def _check_alone() -> None:
-    """SettingsError if several processes would meet a world that answers each differently."""
-    if (n := ranks.count()) > 1:
-        raise SettingsError(
-            f"the world does not repeat itself, which {n} processes cannot share; train with one"
-        )
 
 
 def _check_sizes(name: str, action: Action, percept: int, control: int) -> None:

@@ -73,7 +73,7 @@ def test_a_run_from_a_file_alone(shell: Shell, logged: Path) -> None:
     assert "exploration" not in asked(logged / "second" / "auto-1")
     assert asked(logged / "second" / "auto-1")["practice"]["motions"] > 0
     given = read_data("log.csv", Cart.percept, Cart.control)
-    known = stored_data(logged / "second", "start", domain=DOMAIN).dataset
+    known = stored_data(logged / "second", "start", domain=DOMAIN)[2]
     assert same(given, known)
 
     (logged / "log.csv").unlink()  # from here on nothing needs it
@@ -112,7 +112,7 @@ def test_exploration_goes_on_from_a_file(shell: Shell, logged: Path) -> None:
     (logged / "few.csv").write_text("\n".join([lines[0], *few]))
     words = ["--data", "few.csv", "--run-dir", "second"]
     assert shell(TRAIN, *CART, *QUICK, *words).code == 0
-    known = stored_data(logged / "second", "start", domain=DOMAIN).dataset
+    known = stored_data(logged / "second", "start", domain=DOMAIN)[2]
     assert torch.equal(known.percept[:8], given.percept[:8])
     assert asked(logged / "second" / "start")["exploration"]["motions"] == len(known.percept) - 8
 
@@ -121,7 +121,7 @@ def test_several_files(shell: Shell, logged: Path) -> None:
     words = ["--data", "log.csv", "--data", "log.csv", "--transitions=0", "--run-dir", "second"]
     assert shell(TRAIN, *CART, *QUICK, *words).code == 0
     given = read_data("log.csv", Cart.percept, Cart.control)
-    known = stored_data(logged / "second", "start", domain=DOMAIN).dataset
+    known = stored_data(logged / "second", "start", domain=DOMAIN)[2]
     assert len(known.percept) == 2 * len(given.percept)
     about = json.loads((logged / "second" / "run.json").read_text())
     assert about["settings"]["data"] == ["log.csv", "log.csv"]
@@ -176,7 +176,7 @@ def test_all_data_of_a_run_are_exported(shell: Shell, logged: Path, output: str)
         found = read_data(logged / output, Cart.percept, Cart.control)
         moves, tests = len(found.percept), len(found.tested)
         assert ended.out == f"data of {part}: {output}, {moves} transitions and {tests} tests\n"
-        kept = stored_data(logged / "first" / part, domain=DOMAIN).dataset
+        kept = stored_data(logged / "first" / part, domain=DOMAIN)[2]
         assert same(found, kept)
     if output.endswith(".csv"):
         assert (logged / output).read_text().startswith("place [m],wind [m],push [m],next place [")

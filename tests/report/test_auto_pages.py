@@ -92,6 +92,7 @@ def test_of_many_placements_all_missed_and_some_reached_are_drawn(tmp_path: Path
     assert next(words(e) for e in page.iter("article")).startswith("auto-1: perimeter")
 
 
+@pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize("tested", [True, False])
 def test_what_was_asked_is_a_table(tmp_path: Path, tested: bool) -> None:
     page = parsed(auto_run(tmp_path / "run", "perimeter", 7, tested).folder)

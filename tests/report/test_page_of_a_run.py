@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from lxml import html
 from reaching import TABLE
-from report_pages import REFERENCE, STAGES, final_text, parsed, thinned, words
+from report_pages import REFERENCE, STAGES, final_text, parsed, words
 from told_by_runs import logged
 
 from cgtorch.graphs import load_skill, to_networkx
 from cgtorch.graphs.clusters import clusters_of
 from cgtorch.report.page import report_page
-from cgtorch.runs.storage import load_models, load_scenarios
+from cgtorch.runs.storage import load_knowledge, load_scenarios
 from cgtorch.runs.stored_run import read_run
 from cgtorch.tabletop.published import EXPERIMENTS
 from cgtorch.tabletop.table_picture import MOST_MARKS
@@ -267,7 +267,8 @@ def test_evolution_counts_the_generations(page: html.HtmlElement) -> None:
 
 
 def test_models_are_as_good_as_their_reports_say(page: html.HtmlElement) -> None:
-    _, _, report, labels = load_models(REFERENCE / "S3", RUN.models.unfitted())
+    known = load_knowledge(REFERENCE / "S3", RUN.models.unfitted())
+    report, labels = known.gamma_report, known.classifier_report
     _, *rows = table(page, "Γ in cross-validation")
     for row, name, error, rigid in zip(
         rows, report.coordinates, report.error, report.baseline_error, strict=True
@@ -302,6 +303,7 @@ def test_how_to_reproduce(page: html.HtmlElement) -> None:
     assert "cgtorch-evaluate reference --scenarios perimeter --count 1000\n" in text
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_commands_name_the_run_as_it_was_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """From a folder in which the report was made, what it says can be called."""
     monkeypatch.chdir(REFERENCE.parents[1])
@@ -311,9 +313,8 @@ def test_commands_name_the_run_as_it_was_named(monkeypatch: pytest.MonkeyPatch) 
     assert "tensorboard --logdir runs/reference\n" in text
 
 
-def test_the_same_run_is_the_same_page(tmp_path: Path) -> None:
-    folder = thinned(tmp_path / "run", "S0")
-    assert report_page(read_run(folder)) == report_page(read_run(folder))
+def test_the_same_run_is_the_same_page(page_bytes: bytes) -> None:
+    assert report_page(RUN) == page_bytes
 
 
 def test_the_last_result_of_the_paper_names_its_stage(page: html.HtmlElement) -> None:

@@ -10,7 +10,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torch.utils.tensorboard.summary import make_histogram
 
 from cgtorch.report import tensorboard
-from cgtorch.report.tensorboard import Records, histograms
+from cgtorch.report.tensorboard import TensorBoardWatch, histograms
 
 TAGS = [f"column {i}" for i in range(5)]
 
@@ -22,9 +22,10 @@ def scalars(folder: Path, tag: str) -> list[tuple[int, float]]:
 
 
 def test_what_is_written_together_has_its_own_steps_and_times(tmp_path: Path) -> None:
-    written, began = Records(tmp_path, {}, (), 0), time.time()
+    written, began = TensorBoardWatch(tmp_path, {}), time.time()
     for step in range(3):
-        written.scalars({"a": step / 2, "b": -step}, step)
+        written.step = step
+        written.scalars({"a": step / 2, "b": -step})
         time.sleep(0.02)
     written.close()
     assert scalars(tmp_path, "a") == [(0, 0.0), (1, 0.5), (2, 1.0)]
@@ -36,19 +37,21 @@ def test_what_is_written_together_has_its_own_steps_and_times(tmp_path: Path) ->
 
 
 def test_nobody_waits_longer_than_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    written = Records(tmp_path, {}, (), 0)
-    written.scalars({"a": 1.0}, 0)
+    written = TensorBoardWatch(tmp_path, {})
+    written.scalars({"a": 1.0})
+    written.step = 1
     monkeypatch.setattr(tensorboard, "SOON", -1.0)  # everything has waited for long enough
-    written.scalars({"a": 2.0}, 1)
+    written.scalars({"a": 2.0})
     written._writer.flush()  # of TensorBoard's own thread, not of what waits here
     assert scalars(tmp_path, "a") == [(0, 1.0), (1, 2.0)]
     written.close()
 
 
 def test_what_earlier_files_hold_is_not_written_again(tmp_path: Path) -> None:
-    written = Records(tmp_path, {}, (), 2)
+    written = TensorBoardWatch(tmp_path, {}, first_step=2)
     for step in range(4):
-        written.scalars({"a": float(step)}, step)
+        written.step = step
+        written.scalars({"a": float(step)})
     written.close()
     assert scalars(tmp_path, "a") == [(2, 2.0), (3, 3.0)]
 

@@ -33,7 +33,7 @@ FILES = [
     "S0/classifier.safetensors",
     "S0/specialists.safetensors",
 ]
-TRIES = 250
+TRIES = 100
 
 
 @pytest.fixture(scope="module")
