@@ -12,7 +12,7 @@ from matplotlib import rc_context
 from cgtorch import __version__
 from cgtorch.domains.domain import rewarded
 from cgtorch.domains.registry import is_code
-from cgtorch.graphs import Skill, load_skill
+from cgtorch.graphs import load_skill
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.ground.files import place_of, read_json
@@ -21,7 +21,7 @@ from cgtorch.report.html import STYLE, inline_svg, templates
 from cgtorch.report.messages import as_time
 from cgtorch.report.plots import draw_fitness, draw_rates, draw_success
 from cgtorch.report.reproduce import changes_of, training_commands
-from cgtorch.report.sections import model_quality, stage_sections
+from cgtorch.report.sections import Stage, model_quality, stage_sections
 from cgtorch.runs.journal import FOLDER as JOURNAL
 from cgtorch.runs.journal import FileJournal
 from cgtorch.runs.log import Row, read_log, results_in
@@ -30,18 +30,6 @@ from cgtorch.runs.storage import load_scenarios
 from cgtorch.runs.stored_run import AUTO, StoredRun, versions
 
 PACKAGE = "cgtorch.report"
-
-
-@dataclass(frozen=True)
-class Stage:
-    """A finished stage or round: its result, and what the run could solve at its end."""
-
-    name: str
-    result: Row
-    skill: Skill
-    solved: Any  # W, all scenarios that the skill has succeeded on
-    missed: Any  # M, all that it has failed on
-    accepted: Row | None  # its row in the log; None if no skill was accepted
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,16 @@
 """The sections of a run's page about its stages, finished or not, and about Γ and C."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from statistics import fmean
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from markupsafe import Markup
 from torch import Tensor
 
 from cgtorch.domains.live import Placements
+from cgtorch.graphs import Skill
 from cgtorch.graphs.clusters import Cluster, clusters_of
 from cgtorch.ground.errors import RunError, printable
 from cgtorch.report.graph_picture import draw_clusters
@@ -17,9 +19,6 @@ from cgtorch.report.plots import draw_learning, draw_reliability
 from cgtorch.runs.log import Row
 from cgtorch.runs.stored_run import StoredRun
 
-if TYPE_CHECKING:
-    from cgtorch.report.page import Stage
-
 NONE = Markup("")
 SCORES = {
     "gamma": "Γ: − error of what it learns",
@@ -27,7 +26,19 @@ SCORES = {
 }
 
 
-def stage_sections(run: StoredRun, stages: Sequence["Stage"]) -> list[dict[str, Any]]:
+@dataclass(frozen=True)
+class Stage:
+    """A finished stage or round: its result, and what the run could solve at its end."""
+
+    name: str
+    result: Row
+    skill: Skill
+    solved: Any  # W, all scenarios that the skill has succeeded on
+    missed: Any  # M, all that it has failed on
+    accepted: Row | None  # its row in the log; None if no skill was accepted
+
+
+def stage_sections(run: StoredRun, stages: Sequence[Stage]) -> list[dict[str, Any]]:
     """Contents of all stages, and of the domain's missing ones unless it has rounds.
 
     `tested` is whether it is one of the domain's stages, which have tests of their own.
@@ -59,7 +70,7 @@ def stage_sections(run: StoredRun, stages: Sequence["Stage"]) -> list[dict[str, 
     return sections
 
 
-def _map_of(stage: "Stage", run: StoredRun, kind: str | None) -> tuple[Markup, str]:
+def _map_of(stage: Stage, run: StoredRun, kind: str | None) -> tuple[Markup, str]:
     """A picture of all known results of a stage's skill; tests of a kind are marked."""
     solved, missed = len(stage.solved), len(stage.missed)
     if not solved + missed:
@@ -91,7 +102,7 @@ def _among(scenarios: Any, tests: Any) -> Tensor:
     return (found[:, None] == wanted).all(2).any(1)
 
 
-def _graph_of(stage: "Stage", clusters: list[Cluster]) -> tuple[Markup, str]:
+def _graph_of(stage: Stage, clusters: list[Cluster]) -> tuple[Markup, str]:
     """The skill's graph, like the paper's figures."""
     nodes, inner = stage.skill.num_nodes, len(clusters) - 1
     start = printable(clusters[0].nodes[clusters[0].start].label)

@@ -14,9 +14,9 @@ The folder contains:
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,7 @@ from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
 from cgtorch.runs.log import LOG, Row, read_log, results_in
-from cgtorch.runs.settings import NAMES, RunSettings
+from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
 
 FORMAT, VERSION = "cgtorch-run", 5
 AUTO = "auto"
@@ -147,12 +147,8 @@ def planned_run(
 ) -> StoredRun:
     """A run that `write_run` can begin in an empty or new folder; nothing is written.
 
-    Args:
-        folder: The folder of the run.
-        settings: The settings of the run.
-        domain_settings: The domain's settings; their defaults by default.
-        anew: Whether the folder may contain a run that has `only_begun`.
-        domain: The domain; made from the settings by default.
+    With `anew`, the folder may contain a run that has `only_begun`. The domain is made from the
+    settings if it is not given.
 
     Raises:
         DomainError: The domain cannot be made, or breaks its interface.
@@ -298,6 +294,11 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
     return run
 
 
+def _foreign(part: object) -> bool:
+    """Whether the class of a domain or action is not the library's."""
+    return not type(part).__module__.startswith("cgtorch.")
+
+
 def _check_sizes(name: str, action: Action, percept: int, control: int) -> None:
     """ActionError if an action is for percepts or controls of other lengths."""
     reads = getattr(action, "percept_size", percept)
@@ -312,6 +313,36 @@ def _check_sizes(name: str, action: Action, percept: int, control: int) -> None:
         )
 
 
-def _foreign(part: object) -> bool:
-    """Whether the class of a domain or action is not the library's."""
-    return not type(part).__module__.startswith("cgtorch.")
+def refuse_others(run: StoredRun, given: Mapping[str, Any], how: str) -> None:
+    """SettingsError if a given setting differs from the run's; `how` says what to do instead."""
+    fixed, known = fixed_settings(run), run.all_settings()
+    for name, value in given.items():
+        plain = list(value) if isinstance(value, tuple) else value
+        if plain == (was := known[name]):
+            continue
+        about = f"run {str(run.folder)!r} has {name} {was}, not {plain}"
+        if name in fixed:
+            raise SettingsError(f"{about}, and cannot change it, as {fixed[name]}; {how}")
+        raise SettingsError(
+            f"{about}; {how}, or take it over with Run.resume({name}={value!r}), or --resume "
+            f"{run.folder} --override {option_of(name)[2:]}={value}"
+        )
+
+
+def fixed_settings(run: StoredRun) -> dict[str, str]:
+    """Settings that cannot be changed, by name, and why."""
+    own = {f.name: "the domain was made with it" for f in fields(run.domain.settings)}
+    every = all_fields(type(run.domain.settings))
+    return own | {f.name: f.metadata["fixed"] for f in every if f.metadata["fixed"]}
+
+
+def overridden(run: StoredRun, overrides: Mapping[str, Any]) -> RunSettings:
+    """The run's settings with `overrides`; SettingsError if one is fixed or cannot work."""
+    fixed, known = fixed_settings(run), run.all_settings()
+    for name, value in overrides.items():
+        if name in fixed and (list(value) if isinstance(value, tuple) else value) != known[name]:
+            raise SettingsError(
+                f"{name} {known[name]} of run {str(run.folder)!r} cannot become "
+                f"{value}, as {fixed[name]}; begin another run for it"
+            )
+    return replace(run.settings, **{k: v for k, v in overrides.items() if k in NAMES})

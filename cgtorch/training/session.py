@@ -28,13 +28,15 @@ from cgtorch.runs.journal import (
     remember_goal,
     take_over,
 )
-from cgtorch.runs.settings import Goal, RunSettings, overridden, refuse_others
+from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.stored_run import (
     AUTO,
     StoredRun,
     only_begun,
+    overridden,
     planned_run,
     read_run,
+    refuse_others,
     write_run,
 )
 from cgtorch.simulation.compiled_actions import WITH_MEMORY

@@ -13,8 +13,7 @@ from trained import SMALL, Trained, interrupted
 
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.journal import FileJournal, take_over
-from cgtorch.runs.settings import fixed_settings, overridden, refuse_others
-from cgtorch.runs.stored_run import read_run
+from cgtorch.runs.stored_run import fixed_settings, overridden, read_run, refuse_others
 
 
 def about(folder: Path) -> dict[str, Any]:
