@@ -71,7 +71,7 @@ class Lanes:
         return type(self)(*(mine.index_copy(0, index, other) for mine, other in pairs))
 
     def moved(self, state: Tensor, percept: Tensor) -> Self:
-        """The same lanes with other states (n, S) and percepts (n, D); faster than `replace`."""
+        """The same lanes with other states (n, S) and percepts (n, D)."""
         rest = self.message, self.has_message, self.memory, self.scenario, self.step
         return type(self)(percept, state, *rest)
 

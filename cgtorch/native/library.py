@@ -71,8 +71,7 @@ def function(name: str, dtype: torch.dtype) -> Any:
 def structure(name: str, dtype: torch.dtype) -> Any:
     """A function that makes a structure from all its fields, or None without compiled code.
 
-    Fields are numbers, structures, and tensors for pointers and arrays. A structure keeps its
-    tensors alive; those that C writes to must be contiguous.
+    Tensors may be given for pointers and arrays. Those that C writes to must be contiguous.
     """
     found = library(dtype)
     return found and found.structures[name]

@@ -1,8 +1,7 @@
 """Folds, scores, and learning curves: scores by the number of training rows.
 
-Every size, fold and output of a learning curve is a dual problem with the same kernel matrix, in
-one batch. Rows that it must not learn from have the box [0, 0]. The values on all rows, used or
-not, come at no extra cost.
+Every size, fold and output of a learning curve is a dual problem of one batch, with the same kernel
+matrix. Rows that it must not learn from have the box [0, 0].
 """
 
 from collections.abc import Callable, Sequence
@@ -161,8 +160,7 @@ class LearningValues:
 def doubling_sizes(rows: int, folds: int = 5, count: int = 5) -> tuple[int, ...]:
     """Up to `count` sizes, each twice the one before, that plain or stratified `folds` allow.
 
-    The largest is what any fold of `rows` leaves, less at most two rows. Sizes below 16 rows are
-    left out, as almost nothing can be learned from them.
+    The largest is what any fold of `rows` leaves, less at most two. There is no size below 16.
     """
     most = rows - rows // folds - 2  # each of two classes may leave one row over in the same fold
     return tuple(size for k in reversed(range(count)) if (size := most >> k) >= 16) or (most,)

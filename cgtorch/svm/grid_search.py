@@ -1,8 +1,7 @@
 """Cross-validated choice of C, gamma and epsilon in one batched solve, as exact as libsvm.
 
 One kernel matrix per gamma serves every fold, C, epsilon and output. A fold only fixes its held-out
-coefficients to 0, and their decision values K beta + b come at no extra cost. The problems of each
-cost start from the solutions for the next smaller cost.
+coefficients to 0. The problems of each cost start from the solutions for the next smaller one.
 """
 
 from collections.abc import Sequence

@@ -15,8 +15,8 @@ from torch import Tensor
 class Targets:
     """The targets of k outputs on n rows, and their form in the solver.
 
-    The problem of (y - mean) / unit with C / unit and epsilon / unit has the coefficients beta /
-    unit. So the solver's tolerances do not depend on the unit of the targets.
+    The problem of (y - mean) / unit, C / unit and epsilon / unit has the coefficients beta / unit,
+    so that the solver's tolerances do not depend on the unit of the targets.
 
     Attributes:
         y: Targets, or the signs -1 and 1 of two classes (k, n).
@@ -76,9 +76,8 @@ class Problems(Batch):
 class State(Batch):
     """The state of P problems over n rows, or their solution.
 
-    Coefficients `beta` (P, n) are in their boxes, with sum 0. The `product` K beta (P, n) excludes
-    the biases (P,) and includes held-out rows. The largest violation (P,) of the optimality
-    conditions is that of libsvm.
+    Coefficients `beta` (P, n) are in their boxes, with sum 0. The `product` K beta (P, n) has no
+    biases (P,). The largest violation (P,) of the optimality conditions is that of libsvm.
     """
 
     beta: Tensor
@@ -123,8 +122,8 @@ def violation(problems: Problems, beta: Tensor, residual: Tensor) -> Tensor:
 def duality_gap(problems: Problems, found: State) -> Tensor:
     """Primal minus dual objective (P,) at feasible coefficients.
 
-    It is a sum of one non-negative term per row, u max(0, r - e) - l max(0, -r - e) - r b + e |b|
-    with residual r = z - K beta - bias, so it shows where a solution is not optimal.
+    It sums a non-negative term per row, u max(0, r - e) - l max(0, -r - e) - r b + e |b| with the
+    residual r = z - K beta - bias.
     """
     residual = problems.z - found.product - found.bias[:, None]
     width = problems.epsilon[:, None]

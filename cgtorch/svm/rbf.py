@@ -145,8 +145,7 @@ def predict_rbf(
 
     There are centres (m, d), at least one, weights (m, k) and gamma (). There are gradients for all
     arguments except gamma. Also returned are gamma |x - c|^2 log2(e) (n,) of the nearest centres,
-    which cost one pass over the exponents and no kernel evaluation; they are (0,) without
-    `with_nearest`.
+    or (0,) without `with_nearest`.
     """
     tensors = x, centres, weights, bias, gamma
     if torch.is_grad_enabled() and any(each.requires_grad for each in tensors):

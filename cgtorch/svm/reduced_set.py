@@ -1,13 +1,8 @@
 """Smaller machines: fewer centres with nearly the same values, or fewer training rows.
 
 A reduced set has the centres that pivoted Cholesky decomposition (Fine & Scheinberg 2001) greedily
-picks as those that the others explain least. Their weights are fitted to the exact model's values
-by QR decomposition.
-
-A coreset is what is kept of too many training rows. A dual solution does not change if rows that
-are not support vectors are left out, so these are kept. The remaining places go to the rows
-farthest from all kept ones (the greedy k-centre of Gonzalez 1985): no omitted row is then farther
-from a kept one than twice the optimum for as many rows.
+picks as those that the others explain least. A coreset keeps support vectors, without which the
+solution would change, and the rows farthest from all kept ones.
 """
 
 from copy import deepcopy
@@ -31,10 +26,9 @@ def fit_reduced_set(machine: Machine, centres: int, x: Tensor) -> Machine:
     """A machine with at most `centres` centres, fitted to the values of a fitted one on rows x.
 
     The rows (n, d) should be at least 8 from the region where the machine will be used. Three
-    quarters of them fit the weights. The others choose the ridge, with values in the type in which
-    the machine computes, so that weights too large for it are avoided. An `SVC` keeps its Platt
-    parameters. ModelError if the machine is not fitted, SettingsError for less than one centre or
-    fewer rows.
+    quarters of them fit the weights. The others choose the ridge, in the machine's type, so that no
+    weight is too large for it. ModelError if the machine is not fitted, SettingsError for less than
+    one centre or fewer rows.
     """
     machine.check_fitted()
     rows = as_rows(x).to(machine.centres.device)
@@ -96,8 +90,9 @@ def _least_squares(design: Tensor, truth: Tensor, ridge: float) -> Tensor:
 def coreset(rows: Tensor, keep: Tensor, limit: int) -> Tensor:
     """Indices, ascending, of at most `limit` of the rows (n, d).
 
-    Rows in `keep` (n,) bool, such as support vectors, come first. If they are more than the limit,
-    the same choice is made among them. SettingsError for a limit below 1.
+    Rows in `keep` (n,) bool, such as support vectors, come first; if they are too many, the choice
+    is among them. By the greedy k-centre of Gonzalez (1985) no other row is farther from a kept one
+    than twice the optimum. SettingsError for a limit below 1.
     """
     if limit < 1:
         raise SettingsError(f"the coreset's limit is {limit}; keep at least 1 row")

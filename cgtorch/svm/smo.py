@@ -2,8 +2,7 @@
 
 Fan, Chen & Lin, "Working set selection using second order information for training support vector
 machines", JMLR 6 (2005), WSS 2, on the doubled form of Chang & Lin (2011, eq. 11): each coefficient
-is the difference of two in [0, upper] and [0, -lower]. It converges for every positive semidefinite
-kernel from every feasible start. The plain code is slow, and runs where there is no compiler.
+is the difference of two in [0, upper] and [0, -lower]. The plain code runs without a compiler.
 """
 
 import numpy as np
@@ -28,9 +27,8 @@ def compiled_smo_steps(
 ) -> State | None:
     """Continue P problems until they are solved or have cost too much; None without a compiler.
 
-    The matrix is one of `cgtorch.svm.rbf.Gram`, whose type is that of the steps; gradients are in
-    double precision. A problem ends after `worth` kernel values; a thousand million take about a
-    quarter of a second. Threads change no result.
+    The matrix is one of `cgtorch.svm.rbf.Gram`, whose type is that of the steps. A problem ends
+    after `worth` kernel values; a thousand million take about a quarter of a second.
     """
     call = function("smo_problems", matrix.dtype)
     if call is None:

@@ -1,8 +1,7 @@
 """Solving batches of the dual problems of C-SVC and epsilon-SVR (`cgtorch.svm.problems`).
 
-Sequential minimal optimisation solves most of them. With large costs and many free coefficients, or
-for an exact solution, it would take millions of steps. So runs of it, longer and longer, alternate
-with exact steps from their statuses (`polish`). The last run has no limit.
+Longer and longer runs of sequential minimal optimisation alternate with exact steps (`polish`), as
+with large costs and many free coefficients it alone would take millions of steps.
 """
 
 from dataclasses import replace
@@ -93,16 +92,12 @@ def _check(problems: Problems, found: State) -> None:
 def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) -> State | None:
     """The exact solution of a single problem, without the axis of problems, or None.
 
-    This is a primal-dual active set method (Hintermueller, Ito & Kunisch 2003), from a solution
-    whose statuses are nearly right. Free coefficients solve their equations with a small ridge h.
-    Those that leave their boxes become bound, and bound ones on the wrong side become free. The
-    ridge rounds the corners of the loss over a width h C (Chapelle 2007), so that a residual r
-    determines the coefficient soft(r, epsilon) / h, clipped to its box. None if the number of
-    changes grows.
-
-    The status of a coefficient is -2 or 2 on a bound, 0 at zero, and -1 or 1 if it is free below or
-    above zero. The kernel matrix (n, n) must be positive semidefinite, and the start feasible. A
-    solution violates no condition by more than the tolerance.
+    This is a primal-dual active set method (Hintermueller, Ito & Kunisch 2003), for a positive
+    semidefinite kernel (n, n) and a feasible start whose statuses are nearly right: -2 or 2 on a
+    bound, 0 at zero, and -1 or 1 where free below or above zero. Free coefficients solve their
+    equations with a small ridge h. It rounds the corners of the loss over a width h C (Chapelle
+    2007), so that a residual r determines the coefficient soft(r, epsilon) / h, clipped to its box.
+    A solution violates no condition by more than the tolerance; None if the changes grow.
     """
     beta, bias, z = start.beta, start.bias, problem.z
     h = _ROUNDING * tolerance / torch.maximum(problem.upper, -problem.lower).max()
@@ -177,8 +172,7 @@ def _statuses(value: Tensor, clipped: Tensor) -> Tensor:
 def _with_pivot(problem: Problems, h: Tensor, residual: Tensor, status: Tensor) -> Tensor:
     """Statuses (n,) with one coefficient freed if none is free, as the bias needs an equation.
 
-    The sum of the coefficients determines the direction of the bias. The first coefficient that
-    leaves its bound in this direction becomes free.
+    It is the first that leaves its bound in the direction of the coefficients' sum.
     """
     if bool((status.abs() == 1).any()):
         return status
@@ -202,8 +196,7 @@ def _changed(
 ) -> Tensor:
     """Statuses (n,) after a step.
 
-    Free coefficients out of their box become bound. Bound ones on the wrong side become free. For
-    free coefficients, residuals are not tested, as they are only rounding errors.
+    Free coefficients out of their box become bound, and bound ones on the wrong side become free.
     """
     bound = _statuses(beta, inside(problem, beta))
     bound = bound * (status * bound >= 0)  # from one side to the other only by way of zero

@@ -62,11 +62,8 @@ def test_bad_input_is_one_clear_error(model, x, y, error, says):
 
 def test_a_million_rows_are_refused_with_the_memory_they_would_take():
     rows = torch.zeros(1, 2).expand(1_000_000, 2)
-    for model in (SVR(), SVC()):
-        with pytest.raises(
-            DataError, match=r"1000000 rows would take 36000\.0 GB.*at most 10922 rows"
-        ):
-            model.fit(rows, torch.arange(1_000_000) % 2)
+    with pytest.raises(DataError, match=r"would take 36000\.0 GB.*at most 10922 rows"):
+        SVR().fit(rows, torch.arange(1_000_000) % 2)
 
 
 def test_an_unfitted_model_says_so():
@@ -87,12 +84,9 @@ def test_duplicates_and_constant_features_change_nothing():
     np.testing.assert_allclose(twice, plain, atol=1e-4)
 
 
-def test_all_features_constant_predicts_the_middle():
+def test_constant_features_one_row_and_targets_inside_the_tube_give_a_constant():
     model = SVR(epsilon=0.1).fit(np.ones((10, 2)), np.arange(10.0))
     assert 3.9 < model.predict(np.ones((1, 2)))[0] < 5.1
-
-
-def test_one_row_and_targets_inside_the_tube_give_a_constant():
     assert SVR().fit(X[:1], [3.0]).predict(X).tolist() == pytest.approx([3.0] * 40, abs=0.11)
     flat = SVR(epsilon=2.0).fit(X, X[:, 0] * 0.1)
     assert np.ptp(flat.predict(X)) == 0
@@ -119,14 +113,12 @@ def test_every_kind_of_array_gives_the_same_model(given):
     np.testing.assert_allclose(values, expected, atol=1e-5)
 
 
-def test_read_only_arrays_are_read_and_left_alone():
-    x, y = X.copy(), Y.copy()
+def test_read_only_arrays_are_read_without_a_warning():
+    x = X.copy()
     x.setflags(write=False)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        model = SVC().fit(x, y)
-        model.predict(x)
-    assert np.array_equal(x, X)
+        SVC().fit(x, Y).predict(x)
 
 
 @pytest.mark.parametrize("dtype", [bool, np.int8, np.uint8, np.int64])
@@ -140,25 +132,20 @@ def test_whole_numbers_and_truth_values_are_numbers(dtype):
     assert np.array_equal(model.predict(x), oracle.predict(x.astype(float)))
 
 
-def test_a_single_row_can_be_asked_for_without_a_batch():
-    model = with_probabilities(SVC().fit(X, Y))
-    assert model(torch.tensor(X[7])).tolist() == model(torch.tensor(X))[7].tolist()
+def test_rows_of_any_kind_and_shape_come_back_in_kind():
+    model = with_probabilities(SVC().fit(torch.tensor(X), torch.tensor(Y)))
+    assert isinstance(model.predict(X), np.ndarray)
+    assert isinstance(model.predict(torch.tensor(X)), torch.Tensor)
     assert model.predict(X[7]).shape == ()
-    assert model(torch.tensor(X[7])).shape == ()
+    assert model(torch.tensor(X[7])).tolist() == model(torch.tensor(X))[7].tolist()
+    assert model(torch.tensor(X).reshape(4, 10, 3)).shape == (4, 10)
     with pytest.raises(DataError, match="no features"):
         model(torch.tensor(1.0))
     with pytest.raises(DataError, match="NaN"):
         model.predict([[1.0, np.nan, 2.0]])
-
-
-def test_kinds_of_input_come_back_in_kind():
-    model = with_probabilities(SVC().fit(torch.tensor(X), torch.tensor(Y)))
-    assert isinstance(model.predict(X), np.ndarray)
-    assert isinstance(model.predict(torch.tensor(X)), torch.Tensor)
-    assert set(model.predict(X).tolist()) == {0.0, 1.0}
-    assert model(torch.tensor(X).reshape(4, 10, 3)).shape == (4, 10)
     words = SVC().fit(X, np.where(Y > 0, 5, -2))
     assert words.classes.tolist() == [-2, 5]
+    assert set(words.predict(X).tolist()) == {-2.0, 5.0}
 
 
 def test_forward_is_differentiable():

@@ -172,7 +172,7 @@ def test_several_outputs_match_one_libsvm_each(name):
 
 
 def test_outputs_share_centres_and_each_is_its_own_machine():
-    p, u, q = transitions(300)
+    p, u, q = transitions(200)
     x, y = _scaled(np.concatenate([p, u], 1)), _scaled(q)
     together = SVR([1.0, 2.0, 4.0], epsilon=[0.1, 0.2, 0.4]).fit(x, y[:, :3])
     value = together.predict(x)
