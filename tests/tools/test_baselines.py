@@ -171,7 +171,7 @@ def test_lines_of_postures_and_gating_networks() -> None:
 
 
 def test_more_room_is_measured_where_it_changes_nothing() -> None:
-    rollouts, generation = padding(Effort(1, 0.1)).parts
+    rollouts, generation = padding(Effort(1, 0.05)).parts
     assert rollouts.ratio > 0
     assert generation.ratio > 0
     graphs = graphs_to_run()

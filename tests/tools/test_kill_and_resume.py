@@ -1,35 +1,37 @@
-"""A training under `kill -9` ends as one left alone; the tool itself does it often."""
+"""A training is killed until it has ended, and compared with one that was left alone.
+
+`tests/examples` and `test_kill_rank.py` kill real trainings.
+"""
 
 from pathlib import Path
 
+import click
 import kill_and_resume
 import pytest
 from click.testing import CliRunner
-from kill_and_resume import command, results_of, timeless
+from kill_and_resume import command, timeless, train
 
 
-def test_a_training_that_is_killed_ends_as_one_left_alone(tmp_path: Path) -> None:
-    result = CliRunner().invoke(command, [str(tmp_path), "--kills", "1", "--stage", "S0"])
-    assert result.exit_code == 0, result.output
-    assert "the same" in result.output
-    found = results_of(tmp_path / "alone")
-    assert {"S0/skill.json", "S0/scenarios.json", "log.jsonl"} <= set(found)
-    assert {"start/data.safetensors", "S0/gamma.safetensors"} <= set(found)
-    assert {"generation", "accepted", "result"} <= {row["event"] for row in found["log.jsonl"]}
-    assert not list(tmp_path.glob("*/journal/S0"))
+def test_a_training_ends_or_is_killed_after_its_time(tmp_path: Path) -> None:
+    assert train(tmp_path, ["--help"])
+    assert not train(tmp_path, [], 0.01)
+    with pytest.raises(click.ClickException, match="exit code 2"):
+        train(tmp_path, ["--stage"])
 
 
-def test_a_difference_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def train(run: Path, words: list[str], seconds: float | None = None) -> bool:
-        run.mkdir(parents=True)
-        return True
-
-    results = iter([{"S0/skill.json": 1, "x": 2}, {"S0/skill.json": 3, "x": 2}])
-    monkeypatch.setattr(kill_and_resume, "train", train)
+@pytest.mark.parametrize(("found", "code"), [(1, 0), (3, 1)])
+def test_a_difference_is_told(
+    found: int, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first training of each run is killed twice."""
+    ends = iter([True, False, False, True])
+    results = iter([{"S0/skill.json": 1, "x": 2}, {"S0/skill.json": found, "x": 2}])
+    monkeypatch.setattr(kill_and_resume, "train", lambda *words: next(ends))
     monkeypatch.setattr(kill_and_resume, "results_of", lambda run: next(results))
-    result = CliRunner().invoke(command, [str(tmp_path)])
-    assert result.exit_code == 1
-    assert "differs in S0/skill.json" in result.output
+    result = CliRunner().invoke(command, [str(tmp_path), "--kills", "2"])
+    assert result.exit_code == code
+    said = "differs in S0/skill.json" if code else "2 kills, the same; 2 of 2"
+    assert said in result.output
 
 
 def test_times_may_differ_and_nothing_else() -> None:

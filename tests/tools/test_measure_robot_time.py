@@ -25,7 +25,7 @@ def test_a_share_is_passed_when_a_skill_first_has_it() -> None:
 
 def test_a_small_run_is_measured(tmp_path: Path) -> None:
     """Its skills are tried on fresh placements, which are not counted."""
-    settings = RunSettings(seed=3, population=60, generations=20, attempts=3, practice=2)
+    settings = RunSettings(seed=3, population=40, generations=10, attempts=2, practice=2)
     own = TabletopSettings(noise="fresh")
     row = tool.measured(tmp_path / "run", settings, own, 20, stages=False)
     counted = sum(phase["motions"] + phase["tests"] for phase in row["phases"].values())

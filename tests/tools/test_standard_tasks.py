@@ -78,13 +78,6 @@ def test_lanes_that_are_over_take_no_more_steps() -> None:
     assert len(lanes_of[0]) == 2
 
 
-def test_a_row_does_the_same_whatever_else_is_played() -> None:
-    world = CARTPOLE.world(Starts(torch.arange(6)))
-    together = played(world, balancing, torch.arange(6))
-    alone = [played(world, balancing, torch.tensor([i])).item() for i in range(6)]
-    assert together.tolist() == alone
-
-
 def test_a_control_that_is_no_number_does_not_stop_the_clock() -> None:
     def nothing(percept: Tensor, memory: Any, live: Tensor) -> tuple[Tensor, Any]:
         return torch.full((len(percept), 2), torch.nan), None
