@@ -83,7 +83,7 @@ def test_training_with_bad_arguments(
         (["run", "--seed", "-1"], "--seed': -1 is not in the range"),
         (["run", "--scenarios", "top"], "unknown scenarios 'top'; use one of perimeter, near"),
         (["run", "--actions", "Fly"], "was begun without action 'Fly' and cannot use it"),
-        (["run", "--skill", "S7"], "no skill 'S7' in run 'run'; give one of S0, S1"),
+        (["run", "--skill", "S7"], "no skill 'S7' in run 'run'; give one of S0"),
         (["run", "--skill", "../S0"], "no skill '../S0' in run"),
         (["run/S0", "--skill", "S0"], "'run/S0' is no run (it has no run.json)"),
         (["run/S1"], "'run/S1' is no run and no stage of one"),

@@ -54,13 +54,13 @@ def test_a_run_that_was_interrupted(shell: Shell, tmp_path: Path, trained: Train
     assert any(line.startswith(f"S1 has begun and is not finished; its journal knows {known} ")
                for line in said)  # fmt: skip
     assert (
-        words(page.get_element_by_id("models")).count("These are the models in the folder S0.") == 1
+        words(page.get_element_by_id("models")).count("These are the last ones.") == 1
     )
 
 
 def test_a_file_is_replaced_only_when_asked(shell: Shell, tmp_path: Path) -> None:
     (tmp_path / "mine.html").write_text("precious")
-    thinned(tmp_path / "run", "S0", models=False, events=False)
+    thinned(tmp_path / "run", "S0", models=False, generations=False)
     words = (REPORT, "run", "--output", "mine.html")
     assert "'mine.html' exists; choose another --output or add --force" in shell.refuses(*words)
     assert (tmp_path / "mine.html").read_text() == "precious"

@@ -1,4 +1,3 @@
-from collections import Counter
 from itertools import combinations, pairwise
 from typing import Any
 
@@ -130,19 +129,6 @@ def overlap(first: Any, second: Any, slack: float = 0.0) -> bool:
         and first.y0 + slack < second.y1
         and second.y0 + slack < first.y1
     )
-
-
-def test_the_sample_is_hard_enough() -> None:
-    sizes, loops, parallel, subs = set(), 0, 0, 0
-    for skill in MANY:
-        view = to_networkx(skill.graph, skill.actions)
-        pairs = Counter((a, b) for a, b in view.edges() if a != b)
-        sizes.add(skill.num_nodes)
-        loops += sum(a == b for a, b in view.edges())
-        parallel += sum(c > 1 for c in pairs.values())
-        subs += len(skill.sub_skills)
-    assert set(range(1, 16)) <= sizes
-    assert min(loops, parallel, subs) >= 7
 
 
 def test_every_node_edge_and_end_is_there_by_name(drawn: tuple[Skill, Picture]) -> None:

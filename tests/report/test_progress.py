@@ -262,27 +262,31 @@ def practised(in_a_row: int) -> Practised:
     return Practised("S1", nearly(0.5), in_a_row, 24)
 
 
-@pytest.mark.parametrize("recalled", [False, True])
-def test_what_the_world_was_asked_is_told(recalled: bool) -> None:
-    """Motions and tests are what takes a robot time; percepts that were only looked at do not."""
-    told = replace(TRIALS, recalled=recalled)
-    assert message_of(told) == "S1: trials: 68 motions and 19 tests, 17 of 18 succeeded"
-    explored = WorldAsked("start", "exploration", Asked(84, 65, 14))
-    assert message_of(explored) == "start: exploration: 84 motions and 65 tests"
-    nothing = WorldAsked("S1", "practice", Asked(0, 0, 1, 1))
-    assert message_of(nothing) == "S1: practice: 0 motions and 0 tests, 0 of 1 succeeded"
-    assert message_of(LOOKS) == ""
-
-
-def test_practice_is_told_with_what_is_wanted() -> None:
-    assert message_of(practised(7)) == "ahead 0.5: 7 of 24 fresh scenarios solved in a row"
-
-
-def test_chance_is_told_with_what_follows_from_it() -> None:
-    assert message_of(CHANCE) == (
-        "S1: under other noise the same skill solves 40% of the 30 scenarios that it solved: this "
-        "world is chance; a scenario that was solved is no fact, and skills are compared by counts"
-    )
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        (TRIALS, "S1: trials: 68 motions and 19 tests, 17 of 18 succeeded"),
+        (replace(TRIALS, recalled=True), "S1: trials: 68 motions and 19 tests, 17 of 18 succeeded"),
+        (
+            WorldAsked("start", "exploration", Asked(84, 65, 14)),
+            "start: exploration: 84 motions and 65 tests",
+        ),
+        (
+            WorldAsked("S1", "practice", Asked(0, 0, 1, 1)),
+            "S1: practice: 0 motions and 0 tests, 0 of 1 succeeded",
+        ),
+        (LOOKS, ""),  # percepts that were only looked at take a robot no time
+        (practised(7), "ahead 0.5: 7 of 24 fresh scenarios solved in a row"),
+        (
+            CHANCE,
+            "S1: under other noise the same skill solves 40% of the 30 scenarios that it solved: "
+            "this world is chance; a scenario that was solved is no fact, and skills are compared "
+            "by counts",
+        ),
+    ],
+)
+def test_messages(event: Event, message: str) -> None:
+    assert message_of(event) == message
 
 
 def test_without_a_terminal_what_was_asked_is_a_line_each() -> None:

@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -255,26 +256,22 @@ def test_what_is_recalled_is_not_written_twice(events: list[Event], tmp_path: Pa
     assert [p.step for p in two.Images("scenarios/solved")] == [15]
 
 
-def test_without_actions_only_accepted_skills_are_drawn(
-    events: list[Event], tmp_path: Path
+@pytest.mark.parametrize(
+    ("more", "count", "steps"),
+    [
+        ({"picture_seconds": 0}, None, [48]),  # without actions, only accepted skills are drawn
+        ({"actions": paper_actions()}, None, [46, 48]),  # pictures keep their distance
+        ({"actions": paper_actions()}, 1, [1]),  # an evolution that is broken off is drawn, too
+    ],
+)
+def test_which_graphs_are_drawn(
+    events: list[Event], tmp_path: Path, more: dict[str, Any], count: int | None, steps: list[int]
 ) -> None:
-    with TensorBoardWatch(tmp_path, {}, picture_seconds=0) as watch:
-        for event in events:
+    told = events if count is None else [e for e in events if isinstance(e, GenerationDone)][:count]
+    with TensorBoardWatch(tmp_path, {}, **more) as watch:
+        for event in told:
             watch(event)
-    assert [p.step for p in read(tmp_path).Images("graph/best")] == [48]
-
-
-def test_pictures_of_evolutions_keep_their_distance(events: list[Event], tmp_path: Path) -> None:
-    with TensorBoardWatch(tmp_path, {}, actions=paper_actions()) as watch:
-        for event in events:
-            watch(event)
-    assert [p.step for p in read(tmp_path).Images("graph/best")] == [46, 48]
-
-
-def test_an_evolution_that_is_broken_off_is_drawn_too(events: list[Event], tmp_path: Path) -> None:
-    with TensorBoardWatch(tmp_path, {}, actions=paper_actions()) as watch:
-        watch(next(e for e in events if isinstance(e, GenerationDone)))
-    assert [p.step for p in read(tmp_path).Images("graph/best")] == [1]
+    assert [p.step for p in read(tmp_path).Images("graph/best")] == steps
 
 
 def test_logging_costs_little(events: list[Event], tmp_path: Path) -> None:

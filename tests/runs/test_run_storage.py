@@ -12,7 +12,6 @@ from trained import Trained
 
 from cgtorch.graphs import skill_to_dict
 from cgtorch.ground.errors import CgtorchError, RunError
-from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.storage import (
     load_dataset,
     load_progress,
@@ -66,17 +65,6 @@ def test_progress_comes_back_to_the_last_bit(trained: Trained, stage: str, tmp_p
         for key, value in vars(progress.specialists.graphs).items():
             assert torch.equal(value, vars(again.specialists.graphs)[key])
         assert torch.equal(progress.specialists.strategy, again.specialists.strategy)
-
-
-def test_a_stage_keeps_what_its_skill_does_in_the_world(trained: Trained) -> None:
-    run = read_run(trained.folder)
-    for stage in run.stages:
-        progress = load_progress(run, run.folder / stage)
-        assert progress.skill is not None
-        assert len(progress.solved) > 0
-        assert try_skill(progress.skill, run.domain.world(progress.solved)).succeeded.all()
-        if len(progress.missed):
-            assert not try_skill(progress.skill, run.domain.world(progress.missed)).succeeded.any()
 
 
 float32 = st.floats(-(2.0**49), 2.0**49, width=32)
