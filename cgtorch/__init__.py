@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from cgtorch.evolution import evolve as evolve
     from cgtorch.evolution import initial_state as initial_state
     from cgtorch.evolution import tell as tell
+    from cgtorch.export.stepper import Request as Request
+    from cgtorch.export.stepper import Stepper as Stepper
     from cgtorch.graphs import Action as Action
     from cgtorch.graphs import ActionSet as ActionSet
     from cgtorch.graphs import DelayNN as DelayNN
@@ -41,8 +43,6 @@ if TYPE_CHECKING:
     from cgtorch.ground.fields import Field as Field
     from cgtorch.report import draw_skill as draw_skill
     from cgtorch.simulation.rollout import rollout as rollout
-    from cgtorch.simulation.stepper import Request as Request
-    from cgtorch.simulation.stepper import Stepper as Stepper
     from cgtorch.tabletop.actions import paper_actions as paper_actions
     from cgtorch.tabletop.edge_networks import edge_actions as edge_actions
     from cgtorch.tabletop.kinematics import graspable as graspable
@@ -80,7 +80,7 @@ _FOLDERS = {
     "ground.fields": ("Field",),
     "report": ("draw_skill",),
     "simulation": ("rollout",),
-    "simulation.stepper": ("Request", "Stepper"),
+    "export.stepper": ("Request", "Stepper"),
     "tabletop.actions": ("paper_actions",),
     "tabletop.edge_networks": ("edge_actions",),
     "tabletop.kinematics": ("graspable", "load_robot"),

@@ -81,8 +81,13 @@ def path(seed: int, count: int, longest: int = 12) -> RewardedPath:
     return RewardedPath(walks(count, seeded(seed), longest))
 
 
-def chain(actions: ActionSet, *names: str, speed: float = 0.0) -> Graphs:
-    """A graph of these nodes, each of whose outcomes leads to the next; "Aim" sends the speed."""
+def chain(
+    actions: ActionSet,
+    *names: str,
+    speed: float = 0.0,
+    edges: Mapping[tuple[int, str], int] | None = None,
+) -> Graphs:
+    """A graph of these nodes; outcomes lead to the next unless `edges` says; "Aim" sends speed."""
     view: View = nx.MultiDiGraph(start=0)
     for i, name in enumerate(names):
         count = actions.actions[actions.index(name)].num_parameters
@@ -92,7 +97,8 @@ def chain(actions: ActionSet, *names: str, speed: float = 0.0) -> Graphs:
         action = actions.actions[actions.index(name)]
         for outcome in action.outcomes:
             if outcome not in action.terminal:
-                view.add_edge(i, (i + 1) % len(names), outcome=outcome)
+                head = (edges or {}).get((i, outcome), (i + 1) % len(names))
+                view.add_edge(i, head, outcome=outcome)
     return from_networkx(view, actions)
 
 

@@ -13,8 +13,8 @@ from cgtorch.ground.environment import Environment, Lanes, Rewarded
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.numerics import row_means
 from cgtorch.simulation import MAX_TRANSITIONS, Rollouts, most_steps, rollout
-from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.gpu_engine import GpuEngine
+from cgtorch.simulation.rollout import engine_of
 
 Fitness: TypeAlias = Callable[[Rollouts, Tensor], Tensor]
 """Maps the rollouts of P graphs on B scenarios, and C(p_t) (P, B) at their ends, to their values

@@ -2,14 +2,16 @@
 
 from collections.abc import Callable, Mapping
 
-from cgtorch.export.onnx_model import to_onnx as to_onnx
+from cgtorch.export.modules import to_module as to_module
+from cgtorch.export.modules import to_onnx as to_onnx
 from cgtorch.export.state_machine import to_state_machine as to_state_machine
 from cgtorch.export.step import SkillStep as SkillStep
+from cgtorch.export.stepper import Request as Request
+from cgtorch.export.stepper import Stepper as Stepper
 from cgtorch.export.text import to_dot as to_dot
 from cgtorch.export.text import to_graphml as to_graphml
 from cgtorch.export.text import to_json as to_json
 from cgtorch.export.text import to_mermaid as to_mermaid
-from cgtorch.export.torch_module import to_module as to_module
 
 FORMATS: Mapping[str, Callable[..., bytes]] = {
     "json": to_json,

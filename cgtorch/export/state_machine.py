@@ -9,22 +9,21 @@ import builtins
 import itertools
 import keyword
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from textwrap import fill, indent
 
-from cgtorch.export.computed import control_size_of, named_primitives, request_of
+from cgtorch.export.step import control_size_of
 from cgtorch.export.text import filled
 from cgtorch.graphs import Action, Skill
-from cgtorch.graphs.action import memory_parts
+from cgtorch.graphs.action import memory_parts, own
 from cgtorch.graphs.clusters import Cluster, Node, clusters_of
 from cgtorch.ground.errors import ActionError
 from cgtorch.simulation import most_steps
 
 PLAIN = "cgtorch.export.plain"
-BASES = f"{PLAIN}.machine", f"{PLAIN}.routines", f"{PLAIN}.networks"
-"""The modules with what the plain classes of other modules stand on."""
+"""The module with what the plain classes of other modules stand on."""
 SIZES = "inputs", "hidden", "delays", "outputs"
 """The constructor arguments of plain networks, as far as an action has them."""
 
@@ -34,47 +33,54 @@ def to_state_machine(skill: Skill) -> bytes:
 
     All names are written as quoted strings, so nothing in a skill becomes code.
     """
-    clusters, primitives = clusters_of(skill), list(named_primitives(skill))
-    asks = {_plain(action): None for _, action in primitives if request_of(action)}
-    thinks = {_plain(action): None for _, action in primitives if not request_of(action)}
-    modules = [each for each in dict.fromkeys([*BASES, *asks, *thinks]) if each]
-    texts = {module: _source(module) for module in modules}
+    clusters, primitives = clusters_of(skill), skill.primitives
+    plain = {id(action): own(action, "plain_module") for _, action in primitives}
+    asks = [action for _, action in primitives if own(action, "request")]
+    texts = {name: _source(name) for name in dict.fromkeys([PLAIN, *plain.values()]) if name}
     classes = _classes(primitives, texts.values())
-    memory, memory_size = memory_parts([action for _, action in primitives])
-    places = {
-        id(action): range(part.start, part.stop)
-        for (_, action), part in zip(primitives, memory, strict=True)
-    }
-    own = [
+    places, memory_size = memory_places([action for _, action in primitives])
+    mine = [
         {"class": classes[id(action)], "name": name, "action": action,
          "memory": places[id(action)], "about": _about(action)}
         for name, action in primitives
-        if not _plain(action)
+        if not plain[id(action)]
     ]  # fmt: skip
-    body = {module: _after_imports(text) for module, text in texts.items()}
+    asking = [classes[id(action)] for action in asks]
     size = f"control_size = {control_size_of(skill)}"
-    routines = dict.fromkeys([BASES[1], *filter(None, asks)])
-    asking = [classes[id(action)] for _, action in primitives if request_of(action)]
     return filled(
         "state_machine.py.jinja",
-        machine=body[BASES[0]],
-        routines=[body[module].replace("control_size = 1", size) for module in routines],
-        own=own,
-        networks=[body[module] for module in modules if module not in (BASES[0], *routines)],
+        modules=[_after_imports(text).replace("control_size = 1", size) for text in texts.values()],
+        own=mine,
         clusters=clusters,
         asking=asking,
-        fill_in=[*asking, *(state["class"] for state in own)],
+        fill_in=[*asking, *(state["class"] for state in mine)],
         message_size=max(cluster.skill.actions.message_size for cluster in clusters),
         memory_size=memory_size,
-        most_steps=most_steps,
+        most_steps=most_steps(skill.actions, skill.max_transitions),
         state_of=lambda node: _state(node, classes, places),
-        leads=_leads,
+        leads=leads_of,
     )
 
 
-def _plain(action: Action) -> str:
-    """The module with the action's own class in plain Python, or ""."""
-    return str(vars(type(action)).get("plain_module", ""))
+def memory_places(actions: Sequence[Action]) -> tuple[dict[int, range], int]:
+    """The places in the common memory by an action's identity, and the memory's length."""
+    parts, size = memory_parts(actions)
+    pairs = zip(actions, parts, strict=True)
+    return {id(action): range(part.start, part.stop) for action, part in pairs}, size
+
+
+def plain_arguments(action: Action, memory: range) -> dict[str, object]:
+    """The arguments of an action's plain class besides the parameters."""
+    sizes = {name: getattr(action, name) for name in SIZES if hasattr(action, name)}
+    return {**sizes, **({"memory": memory} if memory else {}), **action.plain_arguments}
+
+
+def leads_of(cluster: Cluster, node: Node) -> dict[str, str]:
+    """Where each outcome of a node leads: a label, success or failure."""
+    label = {key: one.label for key, one in cluster.nodes.items()}
+    label |= {key: "success" if good else "failure" for key, good in cluster.ends.items()}
+    leads = {edge.outcome: label[edge.head] for edge in cluster.edges if edge.tail == node.key}
+    return {outcome: leads[outcome] for outcome in node.action.outcomes}
 
 
 def _about(action: Action) -> str:
@@ -108,7 +114,7 @@ def _classes(primitives: Iterable[tuple[str, Action]], texts: Iterable[str]) -> 
     taken = {name for text in texts for name in pattern.findall(text)}
     classes: dict[int, str] = {}
     for name, action in primitives:
-        if _plain(action):
+        if own(action, "plain_module"):
             classes[id(action)] = type(action).__name__
             continue
         base = re.sub(r"\W", "_", name, flags=re.ASCII)[:40]
@@ -126,18 +132,8 @@ def _state(node: Node, classes: dict[int, str], places: dict[int, range]) -> str
     action, name = node.action, classes[id(node.action)]
     values = fill(", ".join(map(repr, node.parameters)), 92)
     values = f"[\n{indent(values, ' ' * 8)},\n    ]" if node.parameters else ""
-    if _plain(action) and not request_of(action):
-        names = [name for name in SIZES if hasattr(action, name)]
-        sizes = ", ".join(f"{name}={getattr(action, name)}" for name in names)
-        sizes += f", memory={places[id(action)]}" if action.memory_size else ""
-        sizes += "".join(f", {key}={value!r}" for key, value in action.plain_arguments.items())
-        return f"{name}({values or '[]'}, {sizes})"
+    if own(action, "plain_module") and not own(action, "request"):
+        arguments = plain_arguments(action, places[id(action)])
+        given = ", ".join(f"{key}={value!r}" for key, value in arguments.items())
+        return f"{name}({values or '[]'}, {given})"
     return f'use["{name}"]({values})'
-
-
-def _leads(cluster: Cluster, node: Node) -> dict[str, str]:
-    """Where each outcome of a node leads: a label, success or failure."""
-    label = {key: one.label for key, one in cluster.nodes.items()}
-    label |= {key: "success" if good else "failure" for key, good in cluster.ends.items()}
-    leads = {edge.outcome: label[edge.head] for edge in cluster.edges if edge.tail == node.key}
-    return {outcome: leads[outcome] for outcome in node.action.outcomes}

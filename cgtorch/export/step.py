@@ -1,27 +1,20 @@
 """A skill as one module that tells a robot, step by step, what to do next.
 
-`torch.export` can trace it, as no Python decision depends on a number. The engine
-(`cgtorch.simulation`) runs a population in an environment; this module runs one skill and returns
-requests.
+`torch.export` can trace it, as no Python decision depends on a number. It is for exports; on one
+robot `Stepper` answers faster.
 """
 
-from typing import Any
+from typing import Any, NoReturn, cast
 
 import torch
 from torch import Tensor, nn
 
-from cgtorch.export.computed import (
-    Computed,
-    Sizes,
-    control_size_of,
-    named_primitives,
-    request_of,
-)
-from cgtorch.graphs import Skill
-from cgtorch.ground.errors import SettingsError
+from cgtorch.graphs import Action, Skill, Step
+from cgtorch.graphs.action import own
+from cgtorch.ground.environment import Environment, Lanes
+from cgtorch.ground.errors import ActionError, SettingsError
 from cgtorch.simulation import most_steps
-from cgtorch.simulation.action_table import SUCCESS, TIMEOUT
-from cgtorch.simulation.program import compile_graphs
+from cgtorch.simulation.program import SUCCESS, TIMEOUT, compile_graphs
 
 ENDS = ("success", "failure", "timeout")
 ASKS = {"control": ("success", "failure"), "perceive": ("success",), "test": ("success", "failure")}
@@ -32,6 +25,97 @@ CONTROL = REQUESTS.index("control")
 
 FRESH, RUNNING = 0, 1
 STATUS, NODE, LEVEL, STEP, STACK = range(5)  # columns of `place`
+
+
+class Nowhere:
+    """The environment of a skill without a world, which has sizes and perhaps a seed only."""
+
+    num_scenarios = 1
+
+    def __init__(self, who: str, percept: int, control: int, seed: int | None = None):
+        self.who, self.percept_size, self.control_size = who, percept, control
+        if seed is not None:
+            self.seeds = torch.tensor([seed])
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise _MissingError(f"{self.who} asks its environment for {name!r}, which only a world has")
+
+
+class _MissingError(ActionError, AttributeError):
+    """An action asks its environment for something that only a world has."""
+
+
+def control_size_of(skill: Skill) -> int:
+    """U, the size of the controls that a skill asks for, or of its messages if it asks for none."""
+    asked = [a.control_size for a in skill.actions.actions if isinstance(a, Step)]
+    return max(asked, default=skill.actions.message_size)
+
+
+class Computed(nn.Module):
+    """An action that only computes, as a function of tensors."""
+
+    def __init__(self, name: str, action: Action, sizes: tuple[int, int, int, int]):
+        """Try the action on zeros; ActionError if it does more than compute, or fails.
+
+        `sizes` are those of percept, control, message and the action's own memory.
+        """
+        super().__init__()
+        self.name, self.action, self.sizes = name, action, sizes
+        if not action.deterministic:
+            raise self.refused("it is not deterministic")
+        try:
+            self(*self.arguments)
+        except Exception as e:  # whatever a foreign action raises
+            raise self.refused(e) from e
+
+    @property
+    def arguments(self) -> tuple[Tensor, ...]:
+        """Zeros as example arguments."""
+        percept, _, message, memory = self.sizes
+        wide = percept, message, memory, self.action.num_parameters
+        seen, said, kept, values = (torch.zeros(1, width) for width in wide)
+        has, step = torch.zeros(1, dtype=torch.bool), torch.zeros(1, dtype=torch.long)
+        return seen, said, has, kept, step, values
+
+    def forward(
+        self,
+        percept: Tensor,
+        message: Tensor,
+        has: Tensor,
+        memory: Tensor,
+        step: Tensor,
+        parameters: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Maps lanes as tensors to lanes after the action and its outcome (1,) long.
+
+        Arguments are percept (1, D), message (1, M), whether there is one (1,) bool, memory (1, C),
+        step (1,) long and parameters (1, K). Returned are message, whether there is one, memory,
+        and the outcome.
+        """
+        nowhere = cast(Environment, Nowhere("it", *self.sizes[:2]))
+        lanes = Lanes(percept, percept[:, :0], message, has, memory, torch.zeros_like(step), step)
+        after, outcome = self.action(lanes, parameters, nowhere)
+        for field in ("percept", "state", "scenario", "step"):
+            if getattr(after, field) is not getattr(lanes, field):
+                raise ActionError(f"it writes lanes.{field}, which belongs to the robot")
+        return after.message, after.has_message, after.memory, outcome
+
+    def traced(self) -> nn.Module:
+        """The same function as a traced graph with its constants; ActionError if impossible."""
+        try:
+            return torch.export.export(self, self.arguments).module(check_guards=False)
+        except Exception as e:  # whatever torch.export raises
+            raise self.refused(e) from e
+
+    def refused(self, why: str | Exception) -> ActionError:
+        """The error for an action that cannot be exported: its name, the reason, and what to do."""
+        text = " ".join(str(why).split())[:200]
+        if isinstance(why, Exception) and not isinstance(why, ActionError):
+            text = f"{type(why).__name__}: {text}"
+        return ActionError(
+            f"action {self.name!r} cannot be exported: {text}; export the skill as state-machine, "
+            "where it is a class to fill in"
+        )
 
 
 class SkillStep(nn.Module):
@@ -51,12 +135,13 @@ class SkillStep(nn.Module):
         mind_size: Length of `mind`: the message, whether there is one, the common memory.
     """
 
-    kind: Tensor
-    heads: Tensor
-    values: Tensor
-    entry: Tensor
-    limit: Tensor
     request: Tensor
+    table_kind: Tensor
+    table_heads: Tensor
+    table_parameters: Tensor
+    table_start: Tensor
+    table_entry: Tensor
+    table_limit: Tensor
 
     def __init__(self, skill: Skill, percept_size: int | None = None, max_steps: int | None = None):
         """Prepare the skill.
@@ -71,39 +156,35 @@ class SkillStep(nn.Module):
             SettingsError: D is not given and cannot be inferred.
         """
         super().__init__()
-        self.name = skill.name
+        self.name, self.max_transitions = skill.name, skill.max_transitions
         self.percept_size = _percept_size(skill) if percept_size is None else percept_size
         self.control_size = control_size_of(skill)
         most = most_steps(skill.actions, skill.max_transitions)
         self.max_steps = most if max_steps is None else max_steps
         program = compile_graphs(skill.graph, skill.actions)
         table = program.actions
-        self.depth, self.start = table.depth, int(program.start[0])
-        self.max_transitions = skill.max_transitions
+        self.depth, self.num_primitives = table.depth, len(table.primitives)
         self.message_size, self.memory_size = table.message_size, table.memory_size
         self.place_size = STACK + 2 * self.depth
         self.mind_size = self.message_size + 1 + self.memory_size
-        self.num_primitives = len(table.primitives)
         request = torch.full((self.num_primitives + len(program.limit),), -1)
         self.asks = {each: each for each in ASKS}  # by the names that they have in the skill
         self.own: list[tuple[int, int, slice]] = []  # kind, parameters, part of the memory
         self.computed = nn.ModuleList()
-        for name, action in named_primitives(skill):
-            i = next(i for i, p in enumerate(table.primitives) if p is action)
-            if asks := request_of(action):
+        for name, action in skill.primitives:
+            i = table.numbers[id(action)]
+            if asks := own(action, "request"):
                 request[i], self.asks[asks] = REQUESTS.index(asks), name
             else:
                 part = table.memory[i]
-                widths = self.percept_size, self.control_size, self.message_size
                 self.own.append((i, action.num_parameters, part))
-                sizes = Sizes(*widths, part.stop - part.start)
-                self.computed.append(Computed(name, action, sizes))
-        self.register_buffer("kind", program.kind)
-        self.register_buffer("heads", program.heads)
-        self.register_buffer("values", program.parameters.detach().float())
-        # One row more than there are sub-skills, so that a skill without any can be indexed, too.
-        self.register_buffer("entry", torch.cat([program.entry, program.entry.new_zeros(1)]))
-        self.register_buffer("limit", torch.cat([program.limit, program.limit.new_zeros(1)]))
+                sizes = self.percept_size, self.control_size, self.message_size
+                self.computed.append(Computed(name, action, (*sizes, part.stop - part.start)))
+        values = program.parameters.detach().float()
+        for key, value in (vars(program) | {"parameters": values}).items():
+            if isinstance(value, Tensor):
+                # A skill without sub-skills gets one that is none, so that it can be indexed, too.
+                self.register_buffer(f"table_{key}", value if len(value) else value.new_zeros(1))
         self.register_buffer("request", request[program.kind])
 
     def forward(
@@ -125,7 +206,7 @@ class SkillStep(nn.Module):
         """
         percept, outcome, place, mind = (x[None] for x in (percept, outcome, place, mind))
         fresh = place[:, STATUS] == FRESH
-        place = torch.where(fresh[:, None], self._begun(place), self._advance(place, outcome))
+        place = torch.where(fresh[:, None], self._begun(), self._advance(place, outcome))
 
         def thinking(place: Tensor, mind: Tensor) -> Tensor:
             return self._thinks(place, mind).any()
@@ -144,25 +225,25 @@ class SkillStep(nn.Module):
         control = torch.where(moves, mind[:, : self.control_size], 0.0)
         return request[0], control[0], place[0], mind[0]
 
-    def _begun(self, place: Tensor) -> Tensor:
-        """The places at the start of the outermost skill."""
-        head = torch.full_like(place[:, 0], self.start)
-        nothing = torch.zeros_like(place[:, STACK:])
-        caller, left = nothing.split(self.depth, 1)
-        left = left + self._at(torch.zeros_like(head)) * self.max_transitions
-        return self._entered(head, torch.zeros_like(head), torch.zeros_like(head), caller, left)
+    def _begun(self) -> Tensor:
+        """The place at the start of the outermost skill."""
+        start = self.table_start
+        nothing = start.new_zeros(1, self.depth)
+        left = nothing.clone()
+        left[:, 0] = self.max_transitions
+        return self._entered(start, nothing[:, 0], nothing[:, 0], nothing, left)
 
     def _advance(self, place: Tensor, outcome: Tensor) -> Tensor:
-        """Like `cgtorch.simulation.call_stack.advance`, without shortcuts; finished places stay."""
+        """`torch_engine.advance` without shortcuts or changes in place; finished places stay."""
         caller, left = place[:, STACK:].split(self.depth, 1)
-        level = place[:, LEVEL]
-        head = self.heads[place[:, NODE]].gather(1, outcome[:, None])[:, 0]
+        level, heads = place[:, LEVEL], self.table_heads
+        head = heads[place[:, NODE]].gather(1, outcome[:, None])[:, 0]
         left = left - self._at(level)
         head = self._in_time(head, level, left)
         for _ in range(self.depth - 1):
             leaves = (head < 0) & (level > 0)
             node = (caller * self._at(level)).sum(1)
-            back = torch.where(head == SUCCESS, self.heads[node, 0], self.heads[node, 1])
+            back = torch.where(head == SUCCESS, heads[node, 0], heads[node, 1])
             head = torch.where(leaves, back, head)
             level = level - leaves.long()
             left = left - self._at(level) * leaves.long()[:, None]
@@ -184,13 +265,13 @@ class SkillStep(nn.Module):
         status = torch.where(head < 0, head, RUNNING)
         node = head.clamp_min(0)
         for _ in range(self.depth - 1):
-            enters = (self.kind[node] >= self.num_primitives) & (status == RUNNING)
-            level = level + enters.long()
+            skill = self.table_kind[node] - self.num_primitives
+            enters = (skill >= 0) & (status == RUNNING)
+            skill, level = skill.clamp_min(0), level + enters.long()
             opened = self._at(level) * enters.long()[:, None]
-            skill = (self.kind[node] - self.num_primitives).clamp_min(0)
             caller = caller + opened * (node[:, None] - caller)
-            left = left + opened * (self.limit[skill][:, None] - left)
-            node = torch.where(enters, self.entry[skill], node)
+            left = left + opened * (self.table_limit[skill][:, None] - left)
+            node = torch.where(enters, self.table_entry[skill], node)
         return torch.cat([torch.stack([status, node, level, step], 1), caller, left], 1)
 
     def _at(self, level: Tensor) -> Tensor:
@@ -208,14 +289,14 @@ class SkillStep(nn.Module):
     def _think(self, percept: Tensor, place: Tensor, mind: Tensor) -> tuple[Tensor, Tensor]:
         """Run one action at all places that need no robot."""
         node = place[:, NODE]
-        thinks, kind = self._thinks(place, mind), self.kind[node]
+        thinks, kind = self._thinks(place, mind), self.table_kind[node]
         outcome = torch.ones_like(node)  # a control that is not possible fails
         message, has, memory = mind.split([self.message_size, 1, self.memory_size], 1)
         lanes = (percept, message, has[:, 0] > 0)
         for (i, width, part), action in zip(self.own, self.computed, strict=True):
-            here, values = thinks & (kind == i), self.values[node][:, :width]
-            said, has_said, own, out = action(*lanes, memory[:, part], place[:, STEP], values)
-            around = memory[:, : part.start], own, memory[:, part.stop :]
+            here, values = thinks & (kind == i), self.table_parameters[node][:, :width]
+            said, has_said, memory_of, out = action(*lanes, memory[:, part], place[:, STEP], values)
+            around = memory[:, : part.start], memory_of, memory[:, part.stop :]
             after = torch.cat([said, has_said[:, None].to(mind.dtype), *around], 1)
             mind = torch.where(here[:, None], after, mind)
             outcome = torch.where(here, out, outcome)
@@ -223,12 +304,8 @@ class SkillStep(nn.Module):
 
     def first(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The first step's percept (D,), outcome (), place (place_size,) and mind (mind_size,)."""
-        return (
-            torch.zeros(self.percept_size),
-            torch.tensor(0),
-            torch.zeros(self.place_size, dtype=torch.long),
-            torch.zeros(self.mind_size),
-        )
+        place = torch.zeros(self.place_size, dtype=torch.long)
+        return torch.zeros(self.percept_size), torch.tensor(0), place, torch.zeros(self.mind_size)
 
     @property
     def carried(self) -> list[Computed]:
@@ -252,7 +329,7 @@ class SkillStep(nn.Module):
 
 def _percept_size(skill: Skill) -> int:
     """Inputs of the networks of a skill and of its sub-skills."""
-    for _, action in named_primitives(skill):
+    for _, action in skill.primitives:
         if isinstance(size := getattr(action, "percept_size", None), int):
             return size
     raise SettingsError(

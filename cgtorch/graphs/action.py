@@ -29,16 +29,15 @@ class Action(nn.Module, ABC):
             begins.
         memory_part: The name of its part of the memory. Actions with the same name share the part;
             without a name, the part is the action's own.
-        native_kind: The name of its compiled counterpart in native/engine/lanes.h, for exactly this
-            class; "" if there is none.
+        native_kind: The name of its compiled counterpart in native/engine/program.h, for exactly
+            this class; "" if there is none.
         request: What it asks of a robot, for exactly this class: "control" for the message as a
             control, "perceive", or "test" for whether the task has succeeded; "" for nothing.
         plain_module: The module with the same class in plain Python, for exported state machines;
             "" if there is none.
         plain_arguments: Arguments of that class besides its parameters and sizes.
         first_step: The initial standard deviation of its parameters when a search tunes them
-            (`cgtorch.evolution.lineages`). The parameters of new nodes have a standard deviation of
-            1.
+            (`cgtorch.evolution.lineages`). Those of new nodes have a standard deviation of 1.
         deterministic: Whether equal lanes and parameters always give equal results. Set it to False
             for an action that draws random numbers.
     """
@@ -80,11 +79,9 @@ class Action(nn.Module, ABC):
     def uniform(self, lanes: Lanes, environment: Environment, size: int) -> tuple[Lanes, Tensor]:
         """Random numbers for a stochastic action (`cgtorch.ground.counter_rng`).
 
-        They are a function of three things: the seed of the lane's scenario, the name of the
-        action's class, and how often the lane has drawn with it. The last number of the action's
-        memory counts the draws. So they belong to the scenario, as the noise of the world does, and
-        a skill that solved a scenario solves it again. All seeds come from the generator that drew
-        the scenarios.
+        They depend on the seed of the lane's scenario, the name of the action's class, and how
+        often the lane has drawn with it, which the last number of the action's memory counts. So a
+        skill that solved a scenario solves it again.
 
         Returned are the n lanes with the count increased, and (n, size) numbers in [0, 1).
         ActionError if the action is deterministic or has no memory.
@@ -105,6 +102,11 @@ class Action(nn.Module, ABC):
         """Standard normal numbers (n, size); otherwise like `uniform`."""
         lanes, drawn = self.uniform(lanes, environment, 2 * size)
         return lanes, chance.normal(drawn)
+
+
+def own(action: Action, name: str) -> str:
+    """A class attribute such as `request`, for exactly the action's class; "" from a base class."""
+    return str(vars(type(action)).get(name, ""))
 
 
 def memory_parts(actions: Sequence[Action]) -> tuple[tuple[slice, ...], int]:

@@ -8,10 +8,6 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.graphs.action import Action
-from cgtorch.graphs.linear import DelayNN, LinearNN
-from cgtorch.graphs.networks import BranchingNN, ContinuousNN
-from cgtorch.graphs.recurrent import RecurrentNN
-from cgtorch.graphs.routines import Step
 from cgtorch.ground.errors import ActionError
 
 
@@ -130,22 +126,3 @@ def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:
                 f"action {name!r} ends on {sorted(unknown)[0]!r}, which is none of its outcomes "
                 f"{action.outcomes}"
             )
-
-
-def reward_actions(percept: int, control: int) -> ActionSet:
-    """The actions of domains with rewards, for percepts and controls of these lengths.
-
-    Four networks send a control: a linear one, one with a hidden layer of 8, one that reads the
-    latest changes, and a recurrent one. A step carries the control out, and a network branches.
-    """
-    return ActionSet(
-        ("Linear", "Aim", "Delay", "Recur", "Step", "Branch"),
-        (
-            LinearNN(percept, control),
-            ContinuousNN(percept, 8, control),
-            DelayNN(percept, outputs=control),
-            RecurrentNN(percept, outputs=control),
-            Step(control),
-            BranchingNN(percept),
-        ),
-    )

@@ -10,14 +10,11 @@ from cgtorch.ground.errors import printable
 
 @dataclass(frozen=True)
 class Node:
-    """A node.
+    """A node, whose action or skill is called `name`.
 
     Attributes:
         key: A key that is unique in the whole drawing; letters, digits and underscores.
         label: Name and slot, as in the paper: name_slot.
-        name: The name of its action or skill.
-        action: Its action.
-        parameters: The parameters of the action.
         runs: The key of the cluster that it runs, if it is a skill.
     """
 
@@ -45,7 +42,6 @@ class Cluster:
     Attributes:
         key: A key that is unique in the whole drawing.
         names: The names of the nodes that lead to it from the outermost skill, and its own.
-        skill: The skill.
         start: The key of its start node.
         nodes: Its nodes by key, in the order of their slots.
         ends: The keys of its ends, and whether the skill then has succeeded.

@@ -1,13 +1,15 @@
-"""Skill files: a skill with all the skills in it, as JSON.
+"""Skill files: a skill as JSON, with all skills in it under "skills" and its "actions".
 
-All nested skills, at any level, are listed once under "skills". A node whose action has one of
-these names is that skill. The other actions are listed under "actions": the class of each, and the
-arguments that it was made with. Those of the library are made again when a file is read. Others
-have to be given, as a file never names code to import.
+The library's actions are made again from class and arguments when a file is read. Others have to be
+given, as a file never names code to import.
 """
 
+import inspect
+import math
+import re
 import reprlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,35 +17,25 @@ import networkx as nx
 
 from cgtorch.graphs.action import Action
 from cgtorch.graphs.action_set import ActionSet
-from cgtorch.graphs.described import described_action, made_action
+from cgtorch.graphs.graphs import check_graph
 from cgtorch.graphs.skill import Skill, SubSkill
-from cgtorch.graphs.validity import check_graph
 from cgtorch.graphs.view import View, from_networkx, to_networkx
-from cgtorch.ground.errors import GraphError
+from cgtorch.ground.errors import ActionError, GraphError
 from cgtorch.ground.files import read_json, write_json
 
 FORMAT, VERSION = "cgtorch-skill", 2
 MAX_BYTES = 32 * 2**20
 MAX_NODES = 10_000
 MAX_DEPTH = 32
+LIBRARY = "cgtorch."
+"""The modules from which the class of an action in a file is imported."""
+LARGEST = 2**20  # parameters, or numbers of a message or memory
 
-_SKILL: dict[str, type] = {
-    "name": str,
-    "max_transitions": int,
-    "start": str,
-    "nodes": list,
-    "edges": list,
-}
-_FILE: dict[str, type] = {
-    "format": str,
-    "version": int,
-    **_SKILL,
-    "actions": dict,
-    "skills": dict,
-}
-_ACTION: dict[str, type] = {"class": str, "arguments": dict}
-_NODE: dict[str, type] = {"name": str, "action": str, "parameters": list}
-_EDGE: dict[str, type] = {"tail": str, "head": str, "outcome": str}
+_SKILL = {"name": str, "max_transitions": int, "start": str, "nodes": list, "edges": list}
+_FILE = {"format": str, "version": int, **_SKILL, "actions": dict, "skills": dict}
+_ACTION = {"class": str, "arguments": dict}
+_NODE = {"name": str, "action": str, "parameters": list}
+_EDGE = {"tail": str, "head": str, "outcome": str}
 _KIND = {str: "text", int: "a whole number", list: "a list", dict: "an object"}
 
 
@@ -65,23 +57,14 @@ def skill_to_dict(skill: Skill) -> dict[str, Any]:
     """A skill as the plain data of a skill file."""
     entries: dict[str, Any] = {}
     described = _describe(skill, entries, {})
-    used = {name: described_action(action) for name, action in _primitives(skill, set())}
+    used = {
+        name: described_action(action)
+        for level in skill.levels
+        for name, action in sorted(level.node_actions.items())
+        if not isinstance(action, SubSkill)
+    }
     about = {"format": FORMAT, "version": VERSION, **described}
     return {**about, "actions": used, "skills": entries}
-
-
-def _primitives(skill: Skill, known: set[int]) -> Iterator[tuple[str, Action]]:
-    """The actions of a skill's nodes at all levels that are no skills, with their names.
-
-    Skills whose identities are `known` are left out.
-    """
-    known.add(id(skill))
-    for name in sorted({skill.actions.names[i] for i in skill.graph.action[0].tolist() if i >= 0}):
-        action = skill.actions.actions[skill.actions.index(name)]
-        if not isinstance(action, SubSkill):
-            yield name, action
-        elif id(action.skill) not in known:
-            yield from _primitives(action.skill, known)
 
 
 def _describe(skill: Skill, entries: dict[str, Any], keys: dict[int, str]) -> dict[str, Any]:
@@ -126,12 +109,9 @@ def skill_from_dict(data: object, actions: ActionSet | None = None) -> Skill:
     _check_keys(data, _FILE, "the skill file")
     entries: Mapping[str, object] = data["skills"]
     if actions is None:
-        named = {name: _check_keys(d, _ACTION, f"action {_short(name)}")
-                 for name, d in data["actions"].items()}  # fmt: skip
-        made = {
-            name: made_action(name, about["class"], about["arguments"])
-            for name, about in named.items()
-        }
+        for name, about in data["actions"].items():
+            _check_keys(about, _ACTION, f"action {_short(name)}")
+        made = {name: made_action(name, about) for name, about in data["actions"].items()}
         actions = ActionSet(tuple(made), tuple(made.values()))
     if taken := sorted(set(entries) & set(actions.names)):
         raise GraphError(f"sub-skill {_short(taken[0])} has the name of an action; rename it")
@@ -206,6 +186,52 @@ def _check_keys(data: object, keys: Mapping[str, type], what: str) -> Mapping[st
         if not isinstance(data[key], kind) or isinstance(data[key], bool):
             raise GraphError(f"{what} has {key} {_short(data[key])}; give {_KIND[kind]}")
     return data
+
+
+def described_action(action: Action) -> dict[str, Any]:
+    """The class of an action, and the arguments that it has as attributes."""
+    kind = type(action)
+    names = inspect.signature(kind).parameters
+    found = {name: getattr(action, name) for name in names if hasattr(action, name)}
+    plain = {name: value for name, value in found.items() if _is_plain(value)}
+    return {"class": f"{kind.__module__}:{kind.__qualname__}", "arguments": plain}
+
+
+def _is_plain(value: object) -> bool:
+    """Whether a value is a finite number, a text, or a tuple of such, as JSON can hold them."""
+    if isinstance(value, tuple):
+        return all(map(_is_plain, value))
+    if isinstance(value, float):
+        return math.isfinite(value)
+    return isinstance(value, bool | int | str)
+
+
+def made_action(name: str, about: Mapping[str, Any]) -> Action:
+    """One of the library's actions; ActionError if it is not one, or cannot be made like that."""
+    spec: str = about["class"]
+    module, _, kind = spec.partition(":")
+    module = re.sub(r"^cgtorch\.graphs\..*", "cgtorch.graphs", module)  # wherever it is in there
+    if not module.startswith(LIBRARY):
+        raise ActionError(
+            f"action {name!r:.80} is {spec!r:.80}, which is code of its own; give the actions of "
+            "the skill"
+        )
+    try:
+        found = getattr(import_module(module), kind)
+    except (ImportError, AttributeError, ValueError) as e:
+        raise ActionError(f"action {name!r:.80} is {spec!r:.80}, which is not there") from e
+    if not (isinstance(found, type) and issubclass(found, Action)):
+        raise ActionError(f"action {name!r:.80} is {spec!r:.80}, which is no action")
+    given = about["arguments"].items()
+    values = {k: tuple(v) if isinstance(v, list) else v for k, v in given}
+    try:
+        made = found(**values)
+    except Exception as e:  # whatever arguments of a file may cause
+        raise ActionError(f"action {name!r:.80} cannot be made with {values!r:.80}") from e
+    sizes = made.num_parameters, made.message_size, made.memory_size
+    if not all(type(size) is int and 0 <= size <= LARGEST for size in sizes):
+        raise ActionError(f"action {name!r:.80} cannot be made with {values!r:.80}")
+    return made
 
 
 _short = reprlib.repr

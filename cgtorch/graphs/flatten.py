@@ -1,8 +1,6 @@
 """Flattening: a skill with nested skills as one graph of primitive actions.
 
-A sub-skill that runs out of transitions returns to the skill that contains it. A single graph has
-no counters, so it has a copy of a node for every count that matters. Each of its nodes is a stack
-of frames, one for each open level of a run.
+A graph has no counters of transitions, so it has a copy of a node for every count that matters.
 """
 
 from dataclasses import dataclass
@@ -24,8 +22,8 @@ Frame: TypeAlias = tuple[int, int, float]
 """The level, the slot of its node, and the transitions left; infinite if it cannot run out."""
 
 Stack: TypeAlias = tuple[Frame, ...]
-"""Frames, outermost first, without those around a frame that cannot run out and so never
-returns."""
+"""A node of the flat graph: frames of open levels, outermost first, without those around a frame
+that cannot run out and so never returns."""
 
 
 @dataclass(frozen=True)
@@ -54,24 +52,18 @@ def flattened(skill: Skill, max_transitions: int) -> Skill:
     """The same skill without nested skills.
 
     On any scenario, it behaves like the nested skill with at most `max_transitions` actions on all
-    levels together: the same actions with the same outcomes, percepts and end, also by timeout.
-    Message and memory belong to the lane, so nodes read them as before. One thing differs: where
-    the nested skill runs out of transitions on the outermost level, the flat one stays at a
+    levels together (`max_steps` of `cgtorch.simulation.rollout`). One thing differs: where the
+    nested skill runs out of transitions on the outermost level, the flat one stays at a
     `BranchingNN` that leads to itself until its own transitions are used up.
 
     Fewer actions need fewer nodes: a count is left out if its skill cannot run out before the whole
-    does. If `max_transitions` is at most that of every skill, no node has a copy. Nodes that behave
-    the same are merged.
-
-    The flat skill has the same name, and the primitive actions of all levels, those of the
-    outermost first. Its `max_transitions` corresponds to `max_steps` of
-    `cgtorch.simulation.rollout` for the nested skill.
+    does. Nodes that behave the same are merged. The flat skill has the same name, and the primitive
+    actions of all levels, those of the outermost first.
 
     Raises:
-        GraphError: An action ends a sub-skill without success, after which the nested skill goes
-            on, but a terminal outcome has no edge; a name has different actions at different
-            levels; the graph would have more nodes than a file may; or there is no `BranchingNN` to
-            stay at.
+        GraphError: An action ends a sub-skill without success; a name has different actions at
+            different levels; the graph would have more nodes than a file may; or there is no
+            `BranchingNN` to stay at.
     """
     levels = _add(skill, max_transitions, [])
     for level in levels[:-1]:
@@ -216,7 +208,6 @@ def _idle(actions: ActionSet) -> int:
 
 
 def _primitives(levels: list[Level]) -> ActionSet:
-    """The actions of all levels that are not skills."""
     found: dict[str, Action] = {}
     for skill in (level.skill for level in reversed(levels)):
         for name, action in zip(skill.actions.names, skill.actions.actions, strict=True):
@@ -230,12 +221,11 @@ def _primitives(levels: list[Level]) -> ActionSet:
 
 def _check_ends(skill: Skill) -> None:
     """Refuse a sub-skill that an action can end without success."""
-    for i in skill.graph.action[0].unique().tolist():
-        terminal = skill.actions.actions[i].terminal if i != NO_NODE else {}
-        for outcome, success in terminal.items():
+    for name, action in skill.node_actions.items():
+        for outcome, success in action.terminal.items():
             if not success:
                 raise GraphError(
-                    f"{skill.actions.names[i]} ends sub-skill {skill.name!r} with outcome "
+                    f"{name} ends sub-skill {skill.name!r} with outcome "
                     f"{outcome!r} and the skill that it is in goes on, which one graph cannot say; "
                     "leave it nested"
                 )

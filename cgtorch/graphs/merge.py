@@ -1,8 +1,6 @@
 """Merging nodes that behave the same, and finding skills that behave the same.
 
-Graphs are minimised like deterministic automata, by refining a partition of the nodes (Moore 1956).
-Hopcroft's algorithm (1971) needs fewer steps, but graphs are small, and this refines a whole
-population at once.
+Graphs are minimised like automata, by refining a partition of the nodes (Moore 1956).
 """
 
 from dataclasses import replace
@@ -19,8 +17,7 @@ def merged(graphs: Graphs) -> Graphs:
     """The same graphs with nodes of equal behaviour merged into the first of their slots.
 
     Two nodes behave the same if they have the same action, bitwise equal parameters, and outcomes
-    that lead to nodes that behave the same. The behaviour of the graph and its number of
-    transitions do not change, and no smaller graph behaves the same.
+    that lead to nodes that behave the same. No smaller graph behaves the same.
     """
     label = node_classes(graphs)
     slot = torch.arange(graphs.capacity, device=label.device).expand_as(label)

@@ -9,8 +9,8 @@ from torch import Generator, Tensor
 
 from cgtorch.graphs.action import Action
 from cgtorch.graphs.action_set import ActionSet
-from cgtorch.graphs.linear import DelayNN, LinearNN
-from cgtorch.graphs.recurrent import RecurrentNN
+from cgtorch.graphs.networks import BranchingNN, ContinuousNN, DelayNN, LinearNN, RecurrentNN
+from cgtorch.graphs.routines import Step
 from cgtorch.ground.dry_run import (
     ROWS,
     copied,
@@ -33,6 +33,23 @@ BUILT_IN: Mapping[str, Callable[[int, int], Action]] = {
     "RecurrentNN": lambda percept, control: RecurrentNN(percept, outputs=control),
 }
 """Actions for any domain by name; each is made from the lengths of its percepts and controls."""
+
+
+def reward_actions(percept: int, control: int) -> ActionSet:
+    """The actions of domains with rewards, for percepts and controls of these lengths.
+
+    Four networks send a control: a linear one, one with a hidden layer of 8, one that reads the
+    latest changes, and a recurrent one. A step carries the control out, and a network branches.
+    """
+    actions = {
+        "Linear": LinearNN(percept, control),
+        "Aim": ContinuousNN(percept, 8, control),
+        "Delay": DelayNN(percept, outputs=control),
+        "Recur": RecurrentNN(percept, outputs=control),
+        "Step": Step(control),
+        "Branch": BranchingNN(percept),
+    }
+    return ActionSet(tuple(actions), tuple(actions.values()))
 
 
 def resolve_actions(names: Sequence[str], basic: ActionSet, sizes: tuple[int, int]) -> ActionSet:

@@ -17,7 +17,7 @@ class Step(Action):
     outcomes: tuple[str, ...] = ("success", "failure")
     native_kind = "STEP"
     request = "control"
-    plain_module = "cgtorch.export.plain.routines"
+    plain_module = "cgtorch.export.plain"
 
     def __init__(self, control_size: int):
         super().__init__()
@@ -40,7 +40,7 @@ class Perceive(Action):
     outcomes: tuple[str, ...] = ("success",)
     native_kind = "PERCEIVE"
     request = "perceive"
-    plain_module = "cgtorch.export.plain.routines"
+    plain_module = "cgtorch.export.plain"
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
@@ -62,7 +62,7 @@ class Test(Action):
     terminal: Mapping[str, bool] = {"success": True}
     native_kind = "TEST"
     request = "test"
-    plain_module = "cgtorch.export.plain.routines"
+    plain_module = "cgtorch.export.plain"
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment

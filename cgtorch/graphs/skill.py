@@ -8,8 +8,7 @@ from torch import Tensor
 
 from cgtorch.graphs.action import Action
 from cgtorch.graphs.action_set import ActionSet
-from cgtorch.graphs.graphs import Graphs, compacted
-from cgtorch.graphs.validity import check_graph
+from cgtorch.graphs.graphs import NO_NODE, Graphs, check_graph, compacted
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 
@@ -40,23 +39,40 @@ class Skill:
         """Number of nodes at the top level."""
         return int(self.graph.num_nodes[0])
 
+    @cached_property
+    def node_actions(self) -> dict[str, Action]:
+        """The actions and skills of its nodes by name, in the order of the action set."""
+        used = sorted(set(self.graph.action[0].tolist()) - {NO_NODE})
+        return {self.actions.names[i]: self.actions.actions[i] for i in used}
+
     @property
     def sub_skills(self) -> dict[str, "Skill"]:
         """The skills that are nodes of this one, by name."""
-        used = set(self.graph.action[0].tolist())
-        return {
-            name: action.skill
-            for i, (name, action) in enumerate(
-                zip(self.actions.names, self.actions.actions, strict=True)
-            )
-            if isinstance(action, SubSkill) and i in used
-        }
+        found = self.node_actions.items()
+        return {name: action.skill for name, action in found if isinstance(action, SubSkill)}
+
+    @cached_property
+    def levels(self) -> tuple["Skill", ...]:
+        """The skill and all skills in it, each once, level by level from the outermost."""
+        found = [self]
+        for skill in found:  # grows on the way
+            inner = dict.fromkeys(skill.sub_skills.values())
+            found.extend(each for each in inner if each not in found)
+        return tuple(found)
+
+    @property
+    def primitives(self) -> tuple[tuple[str, Action], ...]:
+        """The actions of all nodes at all levels that are no skills, each once, with names."""
+        found: dict[Action, str] = {}
+        for skill in self.levels:
+            for name, action in skill.node_actions.items():
+                found.setdefault(action, name)
+        return tuple((name, a) for a, name in found.items() if not isinstance(a, SubSkill))
 
     @property
     def used_actions(self) -> set[str]:
         """The names of the actions of its nodes and of those of the skills in it."""
-        here = {self.actions.names[i] for i in self.graph.action[0, : self.num_nodes].tolist()}
-        return here.union(*(skill.used_actions for skill in self.sub_skills.values()))
+        return {name for skill in self.levels for name in skill.node_actions}
 
     @cached_property
     def depth(self) -> int:

@@ -18,10 +18,10 @@ FLOAT32_MAX = torch.finfo(torch.float32).max
 
 
 def to_networkx(graphs: Graphs, actions: ActionSet, index: int = 0) -> View:
-    """One individual as a multigraph.
+    """One individual as a multigraph, whose attribute `start` is its start node.
 
     Nodes are slots with attributes `action` (name), `label` (as in the paper: name_slot) and
-    `parameters` (list of float); edges have `outcome`; the graph has `start`.
+    `parameters` (list of float); edges have `outcome`.
     """
     view: View = nx.MultiDiGraph(start=int(graphs.start[index]))
     action = graphs.action[index].tolist()

@@ -14,12 +14,9 @@ from torch import Tensor
 from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.native import constants, structure
 from cgtorch.native.gpu import Gpu, Module
-from cgtorch.simulation.action_table import FAILURE, SUCCESS
-from cgtorch.simulation.compiled import NUMBERS, RESULTS, program_of
-from cgtorch.simulation.compiled_actions import CompiledActions
+from cgtorch.simulation.compiled import CompiledActions, CompiledEngine, program_of, task_of
 from cgtorch.simulation.model import CompiledModels
 from cgtorch.simulation.program import check_numbers
-from cgtorch.simulation.rollouts import Rollouts
 
 KERNELS = ("rollouts", "evaluations", "check", "fitness")
 THREADS, BLOCKS = 128, 4
@@ -32,70 +29,18 @@ SHARED = 48 * 1024
 
 
 @dataclass(frozen=True)
-class GpuEngine:
-    """Actions and models in the form of kernels, for any graphs, as long as they do not change.
+class GpuEngine(CompiledEngine):
+    """Actions and models in the form of kernels; tables and tensors are on the GPU.
 
     Attributes:
-        actions: The action set of the graphs.
-        known: The same, with tables on the GPU.
-        models: The argument of the models' functions.
-        environment: A `ModelEnvironment` of models.h.
-        percept_size: D.
         gpu: Runs the kernels.
         module: The kernels.
         shared: Bytes of shared memory for the machines of Γ and C, 0 if they do not fit.
     """
 
-    actions: ActionSet
-    known: CompiledActions
-    models: CompiledModels
-    environment: Any
-    percept_size: int
     gpu: Gpu
     module: Module
     shared: int
-
-    def rollouts(
-        self, graphs: Graphs, scenarios: Tensor, max_transitions: int, max_steps: int
-    ) -> Rollouts | None:
-        """See `CompiledEngine.rollouts`; graphs and scenarios are on the GPU."""
-        sizes, like = (len(graphs), len(scenarios)), graphs.parameters
-        percept, state = like.new_empty(*sizes, self.percept_size), like.new_empty(*sizes, 3)
-        status, transitions = like.new_empty(2, *sizes, dtype=torch.long).unbind()
-        counts = self._ran(
-            "rollouts", graphs, scenarios, max_transitions, max_steps,
-            percept=percept, state=state, status=status, transitions=transitions,
-        )  # fmt: skip
-        if counts is None:
-            return None
-        succeeded = status == SUCCESS
-        timed_out = ~succeeded & (status != FAILURE)
-        executed = counts["EXECUTED"]
-        return Rollouts(succeeded, timed_out, percept, state, transitions, executed)
-
-    def evaluation(
-        self,
-        graphs: Graphs,
-        scenarios: Tensor,
-        kept: int,
-        max_transitions: int,
-        max_steps: int,
-        cost: float = 0.0,
-    ) -> tuple[Tensor, Tensor, Tensor, int, int, int] | None:
-        """See `CompiledEngine.evaluation`; results are on the device of the graphs."""
-        home, device = graphs.start.device, self.gpu.device
-        graphs, sizes = graphs.to(device), (len(graphs), len(scenarios))
-        fitness = torch.empty(len(graphs), device=device)
-        score = graphs.parameters.new_empty(sizes)
-        succeeded = torch.zeros(sizes, dtype=torch.bool, device=device)
-        counts = self._ran(
-            "evaluations", graphs, scenarios, max_transitions, max_steps,
-            keep=kept, cost=cost, fitness=fitness, score=score, succeeded=succeeded,
-        )  # fmt: skip
-        if counts is None:
-            return None
-        found = fitness.to(home), score.float().to(home), succeeded.to(home)
-        return *found, counts["COUNTED"], counts["EXECUTED"], counts["NUM_NOT_FINITE"]
 
     def _ran(
         self,
@@ -105,8 +50,7 @@ class GpuEngine:
         max_transitions: int,
         max_steps: int,
         **rest: Any,
-    ) -> dict[str, int] | None:
-        """The counts of a finished task, or None if kernels do not support all of it."""
+    ) -> tuple[int, int, int] | None:
         program = program_of(graphs, self.known, (max_transitions, max_steps))
         if program is None or self.known.resumable_alone(graphs):
             return None
@@ -114,11 +58,8 @@ class GpuEngine:
         numbers = constants("counts", dtype)
         counts = torch.zeros(numbers["COUNTS"], dtype=torch.long, device=device)
         lost, bad = torch.empty(2, p, dtype=torch.int32, device=device).unbind()
-        task = structure("Task", dtype)(
-            program=None, environment=None, scenarios=scenarios, graphs=p, count=b,
-            max_transitions=max_transitions, max_steps=max_steps,
-            **{**dict.fromkeys(RESULTS), **dict.fromkeys(NUMBERS, 0), **rest},
-        )  # fmt: skip
+        limits = {"max_transitions": max_transitions, "max_steps": max_steps}
+        task = task_of(self, graphs, scenarios, program=None, **limits, **rest)
         models, kept = self.models.structure, rest.get("keep", 0)
         evaluates = name == "evaluations"
 
@@ -140,7 +81,7 @@ class GpuEngine:
         found = dict(zip(numbers, counts.tolist(), strict=False))
         if found["WRONG"]:
             check_numbers(graphs, len(self.actions))
-        return found
+        return found["COUNTED"], found["EXECUTED"], found["NUM_NOT_FINITE"]
 
     def _spread(self, lanes: int) -> tuple[int, int]:
         """The largest number of lanes per warp, and the number of threads."""

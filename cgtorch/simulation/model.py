@@ -55,10 +55,9 @@ def anything(percept: Tensor, control: Tensor) -> Tensor:
 class ModelEnvironment:
     """An `Environment` made of Γ and C, which contains percepts only and never touches the world.
 
-    Observing again changes nothing, since Γ predicts what would be perceived. A lane's state (n, 3)
-    holds the number of its motions, whether it is lost, and C(p), which is `UNKNOWN` until it is
-    computed. A lane is lost after a motion that was too novel to Γ. Its position is then unknown,
-    so it neither moves nor succeeds any more.
+    A lane's state (n, 3) holds the number of its motions, whether it is lost, and C(p), which is
+    `UNKNOWN` until it is computed. A lane is lost after a motion that was too novel to Γ: it
+    neither moves nor succeeds any more.
     """
 
     def __init__(

@@ -1,15 +1,79 @@
-"""The engine's program: all nodes of all graphs and sub-skills in one table."""
+"""The engine's program: all actions, and all nodes of all graphs and sub-skills in one table."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeAlias
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from cgtorch.graphs import NO_NODE, ActionSet, Graphs
+from cgtorch.graphs import NO_NODE, Action, ActionSet, Graphs, Skill, SubSkill
+from cgtorch.graphs.action import memory_parts
 from cgtorch.ground.errors import GraphError
-from cgtorch.simulation.action_table import FAILURE, ActionTable, action_table, ends
+
+SUCCESS, FAILURE, TIMEOUT = -1, -2, -3
+"""Negative heads: how a graph ends, in place of the next node."""
+
+
+@dataclass(frozen=True)
+class ActionTable:
+    """The actions and sub-skills of an action set, with the sizes that a program needs."""
+
+    skills: tuple[Skill, ...]  # the sub-skills at all levels, each once
+    primitives: tuple[Action, ...]  # the actions that run as one step, each once
+    numbers: dict[int, int]  # for an action's identity, its index among primitives, then skills
+    outcomes: int  # the largest number of outcomes of an action
+    width: int  # the largest number of parameters of an action
+    limits: tuple[int, ...]  # the maximum number of transitions of each sub-skill
+    depth: int  # levels of skills within skills, 1 without sub-skills
+    message_size: int  # the length of the longest message
+    memory: tuple[slice, ...]  # the part of the common memory of each primitive
+    memory_size: int  # the length of the common memory
+
+    def kinds(self, actions: ActionSet) -> Tensor:
+        """(A,) long, the table's numbers of an action set's actions."""
+        return torch.tensor([self.numbers[id(a)] for a in actions.actions])
+
+
+def ends(actions: ActionSet) -> Tensor:
+    """(A, O) long, `SUCCESS` or `FAILURE`: how a graph ends by an outcome that has no edge."""
+    return torch.where(actions.succeeds, SUCCESS, FAILURE)
+
+
+@lru_cache(maxsize=16)  # in torch it is asked for in every generation
+def action_table(actions: ActionSet) -> ActionTable:
+    """The table of an action set."""
+    skills = tuple(_skills(actions, {}).values())
+    sets = [actions, *(s.actions for s in skills)]
+    every = {id(a): a for s in sets for a in s.actions}
+    primitives = [a for a in every.values() if not isinstance(a, SubSkill)]
+    place = {id(a): i for i, a in enumerate([*primitives, *skills])}
+    memory, memory_size = memory_parts(primitives)
+    return ActionTable(
+        skills=skills,
+        primitives=tuple(primitives),
+        numbers={
+            key: place[id(a.skill) if isinstance(a, SubSkill) else key] for key, a in every.items()
+        },
+        outcomes=max(2, *(s.outcome_capacity for s in sets)),
+        width=max(s.parameter_capacity for s in sets),
+        limits=tuple(s.max_transitions for s in skills),
+        depth=1 + max((s.depth for s in skills), default=0),
+        message_size=max(s.message_size for s in sets),
+        memory=memory,
+        memory_size=memory_size,
+    )
+
+
+def _skills(actions: ActionSet, found: dict[int, Skill]) -> dict[int, Skill]:
+    """All sub-skills of an action set, at every level, each once."""
+    for action in actions.actions:
+        if isinstance(action, SubSkill) and id(action.skill) not in found:
+            found[id(action.skill)] = action.skill
+            _skills(action.skill.actions, found)
+    return found
+
 
 Table: TypeAlias = tuple[Tensor, Tensor, Tensor]
 """Kinds (T,), heads (T, O) and parameters (T, K) of nodes; see `Program`."""
@@ -20,7 +84,6 @@ class Program:
     """P graphs and the sub-skills that they use, each stored once, in one table of T nodes.
 
     Attributes:
-        actions: The actions of the graphs and of all sub-skills.
         kind: (T,) long, an index into `actions.primitives`, or their number + a sub-skill's index.
         heads: (T, O) long, rows of the table, or `SUCCESS` or `FAILURE` if an outcome ends the
             graph.

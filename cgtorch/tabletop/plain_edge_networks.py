@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from cgtorch.export.plain.networks import BranchingNN, ContinuousNN
+from cgtorch.export.plain import BranchingNN, ContinuousNN
 
 Box = tuple[float, float, float, float]
 Rectangle = tuple[float, float, float, float, float]  # centre x, y (m), yaw (rad), sizes (m)
@@ -54,7 +54,7 @@ class EdgeNN(ContinuousNN):
 class EdgeWayNN(EdgeNN):
     """An `EdgeNN` that sends the first motion of a route to its pose around what is seen."""
 
-    def __init__(self, parameters: Sequence[float], footprint: Box, **sizes: int):
+    def __init__(self, parameters: Sequence[float], footprint: Box, **sizes: Any):
         super().__init__(parameters, **sizes)
         self.footprint = footprint
 

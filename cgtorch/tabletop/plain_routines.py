@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cgtorch.export.plain.machine import Userdata
-from cgtorch.export.plain.routines import Perceive, Step, Test
+from cgtorch.export.plain import Perceive, Step, Test, Userdata
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ from cgtorch.runs.stored_run import (
     refuse_others,
     write_run,
 )
-from cgtorch.simulation.compiled_actions import WITH_MEMORY
+from cgtorch.simulation.compiled import WITH_MEMORY
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training
 from cgtorch.training.start import given_data

@@ -15,9 +15,9 @@ from cgtorch.domains.transition import KernelTransitionModel
 from cgtorch.graphs import ActionSet
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts, rollout
-from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.program import compile_graphs
-from cgtorch.simulation.rollout import MAX_STEPS, rollout_in_torch
+from cgtorch.simulation.rollout import MAX_STEPS, engine_of
+from cgtorch.simulation.torch_engine import rollout_in_torch
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 

@@ -22,7 +22,7 @@ from test_step import Learned, lone
 from torch import Tensor
 
 from cgtorch.export import to_onnx
-from cgtorch.export.onnx_model import ABOUT, INPUTS, OUTPUTS
+from cgtorch.export.modules import INPUTS, ONNX_ABOUT, OUTPUTS
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, SettingsError
 
@@ -36,7 +36,7 @@ def session(data: bytes) -> onnxruntime.InferenceSession:
 
 def runtime(data: bytes) -> tuple[Step, dict[str, object]]:
     running = session(data)
-    about = json.loads(running.get_modelmeta().custom_metadata_map[ABOUT])
+    about = json.loads(running.get_modelmeta().custom_metadata_map[ONNX_ABOUT])
 
     def step(*arguments: Tensor) -> list[Tensor]:
         given = {name: a.numpy() for name, a in zip(INPUTS, arguments, strict=True)}

@@ -26,7 +26,7 @@ SQUASHING = '''"""What squashes, in plain Python."""
 
 import math
 
-from cgtorch.export.plain.networks import ContinuousNN
+from cgtorch.export.plain import ContinuousNN
 
 
 class Squashed(ContinuousNN):

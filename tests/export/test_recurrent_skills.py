@@ -25,7 +25,7 @@ from cgtorch.export import (
     to_onnx,
     to_state_machine,
 )
-from cgtorch.export.torch_module import ABOUT
+from cgtorch.export.modules import ABOUT
 from cgtorch.graphs import (
     Action,
     ActionSet,

@@ -24,8 +24,8 @@ from support import (
     stochastic_actions,
 )
 
+from cgtorch.export import plain as networks
 from cgtorch.export import to_state_machine
-from cgtorch.export.plain import networks
 from cgtorch.graphs import ActionSet, Skill, SubSkill
 from cgtorch.simulation import rollout
 from cgtorch.tabletop import plain_edge_networks as edge_networks

@@ -37,7 +37,7 @@ def test_skills_in_skills_with_memory_and_messages(seed: int, steps: int, most: 
     skill = random_skill(seed, "S2", nested_actions(seed), max_transitions=most)
     environment = model(seed, 3)
     expected, _ = by_the_library(skill, environment, steps)
-    step = SkillStep(skill, max_steps=steps)
+    step = SkillStep(skill, 7, steps)
     for scenario, run in enumerate(expected):
         assert_same(by_steps(step, step.about(), environment, scenario), run)
 
@@ -49,7 +49,7 @@ def test_two_actions_with_memory_of_their_own(seed: int) -> None:
     skill = random_skill(seed, "S2", base)
     environment = model(seed, 3)
     expected, _ = by_the_library(skill, environment)
-    step = SkillStep(skill)
+    step = SkillStep(skill, percept_size=7)
     assert step.memory_size == 4
     for scenario, run in enumerate(expected):
         assert_same(by_steps(step, step.about(), environment, scenario), run)

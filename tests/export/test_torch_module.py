@@ -17,7 +17,7 @@ from test_step import Learned, lone
 from torch import Tensor
 
 from cgtorch.export import to_module
-from cgtorch.export.torch_module import ABOUT
+from cgtorch.export.modules import ABOUT
 from cgtorch.graphs import Action
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError

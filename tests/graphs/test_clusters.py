@@ -1,18 +1,20 @@
 """Clusters are the skill, against the views that everything else is stored from."""
 
-import pytest
-from support import custom_actions, nested_actions, random_skill, stochastic_actions
+import copy
 
+import pytest
+from support import (
+    custom_actions,
+    nested_actions,
+    random_graphs,
+    random_skill,
+    seeded,
+    stochastic_actions,
+)
+
+from cgtorch.evolution.population import random_population
 from cgtorch.graphs import Skill, to_networkx
 from cgtorch.graphs.clusters import clusters_of
-
-
-def collect(skill: Skill, found: dict[int, Skill]) -> dict[int, Skill]:
-    """All skills in a skill, by their identity."""
-    found[id(skill)] = skill
-    for inner in skill.sub_skills.values():
-        collect(inner, found)
-    return found
 
 
 @pytest.mark.parametrize(
@@ -25,10 +27,10 @@ def collect(skill: Skill, found: dict[int, Skill]) -> dict[int, Skill]:
     ids=lambda skill: skill.name,
 )
 def test_every_node_edge_and_end_of_every_skill_is_there_once(skill: Skill) -> None:
-    clusters, skills = clusters_of(skill), collect(skill, {})
+    clusters, skills = clusters_of(skill), skill.levels
     assert (clusters[0].skill, clusters[0].name) == (skill, skill.name)
-    assert {id(cluster.skill) for cluster in clusters} == set(skills)
-    assert len(clusters) == len(skills)
+    assert [cluster.skill for cluster in clusters] == list(skills)
+    assert len(skills) == skill.depth
     keys = {cluster.key: cluster for cluster in clusters}
     for cluster in clusters:
         view = to_networkx(cluster.skill.graph, cluster.skill.actions)
@@ -47,3 +49,17 @@ def test_every_node_edge_and_end_of_every_skill_is_there_once(skill: Skill) -> N
         heads = label | cluster.ends
         assert {(label[e.tail], e.outcome, heads[e.head]) for e in cluster.edges} == edges
         assert len(cluster.edges) == len(edges)
+
+
+def test_graphs_skills_and_populations_can_be_compared_and_kept_in_sets() -> None:
+    actions = custom_actions()
+    for one in (
+        random_graphs(0, 3, actions),
+        random_skill(0, "one", nested_actions()),
+        random_population(3, actions, 12, (3, 10), seeded(0)),
+    ):
+        other = copy.deepcopy(one)
+        assert one == one
+        assert one != other
+        assert one in [other, one]
+        assert len({one, other, one}) == 2

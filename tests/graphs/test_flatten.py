@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-import networkx as nx
 import pytest
 import torch
 from hypothesis import given, settings
@@ -21,17 +20,16 @@ from support import (
     same,
     world,
 )
+from walking import chain
 
 from cgtorch.graphs import (
     ActionSet,
     Skill,
     SubSkill,
     flattened,
-    from_networkx,
     merged,
     same_behaviour,
 )
-from cgtorch.graphs.view import View
 from cgtorch.ground.environment import Environment
 from cgtorch.ground.errors import GraphError
 from cgtorch.simulation import rollout
@@ -56,7 +54,7 @@ def nested(seed: int, limits: tuple[int, int, int]) -> Skill:
     most=st.integers(1, 40),
     place=st.sampled_from([world, model]),
 )
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_all_runs_are_the_same(
     seed: int, limits: tuple[int, int, int], most: int, place: Callable[..., Environment]
 ) -> None:
@@ -92,15 +90,11 @@ def test_a_flat_skill_is_one_valid_graph_of_primitive_actions(
 @settings(max_examples=40)
 def test_where_no_skill_can_run_out_no_node_has_a_copy(seed: int, most: int) -> None:
     skill = nested(seed, (30, 30, 30))
-    inner = skill.sub_skills["S1"], skill.sub_skills["S0"]
-    levels = {id(s): s for s in (skill, *inner, inner[0].sub_skills["S0"])}.values()
-    most_nodes = sum(primitive_nodes(s) for s in levels)
-    assert 1 <= flattened(skill, most).num_nodes <= most_nodes
-
-
-def primitive_nodes(skill: Skill) -> int:
-    kinds = [skill.actions.actions[i] for i in skill.graph.action[0].tolist() if i >= 0]
-    return sum(not isinstance(k, SubSkill) for k in kinds)
+    kinds = [
+        s.actions.actions[i] for s in skill.levels for i in s.graph.action[0].tolist() if i >= 0
+    ]
+    primitives = sum(not isinstance(kind, SubSkill) for kind in kinds)
+    assert 1 <= flattened(skill, most).num_nodes <= primitives
 
 
 def test_a_skill_without_sub_skills_stays_up_to_its_own_limit() -> None:
@@ -113,10 +107,7 @@ def test_a_skill_without_sub_skills_stays_up_to_its_own_limit() -> None:
 
 def looking(limit: int, actions: ActionSet) -> Skill:
     """Looks for ever."""
-    view: View = nx.MultiDiGraph(start=0)
-    view.add_node(0, action="Detect", parameters=[])
-    view.add_edge(0, 0, outcome="success")
-    return Skill("looking", from_networkx(view, actions), actions, limit)
+    return Skill("looking", chain(actions, "Detect"), actions, limit)
 
 
 def test_a_count_is_kept_by_copies_and_what_has_run_out_idles() -> None:
@@ -134,10 +125,7 @@ def test_a_count_is_kept_by_copies_and_what_has_run_out_idles() -> None:
 def test_counts_of_two_levels_are_kept_to_the_last_action(outer: int, inner: int) -> None:
     base = paper_actions()
     actions = base.extended(["looking"], [SubSkill(looking(inner, base))])
-    view: View = nx.MultiDiGraph(start=0)
-    view.add_node(0, action="looking", parameters=[])
-    view.add_edge(0, 0, outcome="failure")
-    skill = Skill("top", from_networkx(view, actions), actions, outer)
+    skill = Skill("top", chain(actions, "looking"), actions, outer)
     both = outer * inner
     assert flattened(skill, both).num_nodes == 1
     flat = flattened(skill, both + 1)
@@ -157,13 +145,9 @@ def test_too_many_nodes_are_refused() -> None:
 
 def test_an_end_without_success_within_a_sub_skill_is_refused() -> None:
     skills = (random_skill(seed, "top", nested_actions(seed)) for seed in range(20))
-    skill = next(s for s in skills if "Counter" in used(s.sub_skills["S0"]))
+    skill = next(s for s in skills if "Counter" in s.sub_skills["S0"].node_actions)
     with pytest.raises(GraphError, match="Counter ends sub-skill 'S0' with outcome 'lost'"):
         flattened(skill, 20)
-
-
-def used(skill: Skill) -> set[str]:
-    return {skill.actions.names[i] for i in skill.graph.action[0].tolist() if i >= 0}
 
 
 def test_an_action_that_is_another_one_within_is_refused() -> None:

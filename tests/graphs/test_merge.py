@@ -50,7 +50,7 @@ def doubled(graphs: Graphs, seed: int) -> Graphs:
 
 
 @given(st.integers(0, 2**31), ANY)
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_runs_do_not_change(seed: int, actions: ActionSet) -> None:
     graphs = doubled(random_graphs(seed, 8, actions), seed)
     for place in (world(seed, 6), model(seed, 6)):
@@ -60,21 +60,13 @@ def test_runs_do_not_change(seed: int, actions: ActionSet) -> None:
 
 
 @given(st.integers(0, 2**31), ANY)
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_graphs_never_grow_and_stay_valid(seed: int, actions: ActionSet) -> None:
     graphs = random_graphs(seed, 20, actions)
     small = merged(graphs)
     assert (small.num_nodes <= graphs.num_nodes).all()
     assert all_valid(small, actions)
     assert same(merged(small), small)
-
-
-@given(st.integers(0, 2**31), ANY)
-@settings(max_examples=60)
-def test_two_of_every_node_become_as_many_as_one(seed: int, actions: ActionSet) -> None:
-    graphs = random_graphs(seed, 20, actions)
-    again = merged(doubled(graphs, seed))
-    assert torch.equal(again.num_nodes, merged(graphs).num_nodes)
 
 
 def told_apart(graphs: Graphs, index: int) -> int:
@@ -95,7 +87,7 @@ def told_apart(graphs: Graphs, index: int) -> int:
 
 
 @given(st.integers(0, 2**31), ANY)
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_as_few_nodes_as_pairs_that_are_told_apart(seed: int, actions: ActionSet) -> None:
     graphs = doubled(random_graphs(seed, 4, actions), seed)
     found = merged(graphs).num_nodes.tolist()

@@ -311,7 +311,7 @@ def attempt(read: Callable[[], Skill]) -> None:
 
 
 @given(st.data())
-@settings(max_examples=1500)
+@settings(max_examples=600)
 def test_damaged_files_end_in_a_typed_error(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
@@ -348,7 +348,7 @@ values = st.recursive(
 
 
 @given(st.data())
-@settings(max_examples=1500)
+@settings(max_examples=600)
 def test_wrong_data_anywhere_end_in_a_typed_error(data: st.DataObject) -> None:
     root: Any = [copy.deepcopy(GOOD)]
     place, key = root, 0

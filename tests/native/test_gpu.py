@@ -13,8 +13,8 @@ from support import nested_actions
 from cgtorch.evolution import compiled as evolution
 from cgtorch.native import available, gpu
 from cgtorch.native.gpu import Module
-from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.gpu_engine import GpuEngine
+from cgtorch.simulation.rollout import engine_of
 from cgtorch.tabletop.actions import paper_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")

@@ -10,7 +10,7 @@ from quick_compiler import quick_compiler
 
 from cgtorch.evolution import STRATEGY
 from cgtorch.native import agree, available, compiler, constants, function, library, structure
-from cgtorch.simulation.action_table import FAILURE, SUCCESS, TIMEOUT
+from cgtorch.simulation.program import FAILURE, SUCCESS, TIMEOUT
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 

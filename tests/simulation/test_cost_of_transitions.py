@@ -15,7 +15,7 @@ from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground.environment import start_lanes
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts
-from cgtorch.simulation.engines import engine_of
+from cgtorch.simulation.rollout import engine_of
 from cgtorch.tabletop.actions import paper_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")

@@ -23,8 +23,8 @@ from cgtorch.graphs import ActionSet, Graphs, RecurrentNN
 from cgtorch.ground.errors import GraphError
 from cgtorch.native import available
 from cgtorch.simulation import ModelEnvironment, Rollouts
-from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.gpu_engine import GpuEngine
+from cgtorch.simulation.rollout import engine_of
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.edge_networks import edge_actions, edge_way_actions
 from cgtorch.tabletop.world import ClearMotion

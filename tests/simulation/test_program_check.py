@@ -1,5 +1,6 @@
 """Graphs with numbers that stand for nothing are refused at the door, compiled or not."""
 
+import sys
 from dataclasses import replace
 
 import pytest
@@ -12,7 +13,7 @@ from cgtorch.evolution import evaluator
 from cgtorch.evolution.population import random_population
 from cgtorch.graphs import Graphs
 from cgtorch.ground.errors import GraphError
-from cgtorch.simulation import compiled_actions as engine
+from cgtorch.simulation import compiled as engine
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import paper_actions
 
@@ -51,7 +52,9 @@ def test_it_says_which_number_of_which_graph(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     if not compiled:
-        monkeypatch.setattr(engine, "structure", lambda *_: None)
+        monkeypatch.setattr(engine, "constants", lambda *_: {})
+        resumable = sys.modules["cgtorch.simulation.rollout"]
+        monkeypatch.setattr(resumable, "resumable_rollout", lambda *_: None)
     whole, environment = as_double(graphs()), random_models(0, 3)
     keep = torch.tensor([True, False, False])
     rollout(whole, ACTIONS, environment)

@@ -26,10 +26,10 @@ from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.native import available
 from cgtorch.simulation import Rollouts, rollout
-from cgtorch.simulation.engines import engine_of
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.simulation.resumable import resumable_rollout
-from cgtorch.simulation.rollout import MAX_STEPS, MOST_IDLE, rollout_in_torch
+from cgtorch.simulation.rollout import MAX_STEPS, engine_of
+from cgtorch.simulation.torch_engine import MOST_IDLE, rollout_in_torch
 from cgtorch.tabletop.actions import paper_actions
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")

@@ -28,7 +28,7 @@ from cgtorch.simulation import (
     rollout,
 )
 from cgtorch.simulation.compiled import LARGEST
-from cgtorch.simulation.rollout import MOST_IDLE
+from cgtorch.simulation.torch_engine import MOST_IDLE
 from cgtorch.tabletop.actions import Detect
 
 SETS = [walking(), nested_actions(0, walking(), limits=(4, 9))]

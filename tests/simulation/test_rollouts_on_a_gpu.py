@@ -16,7 +16,7 @@ from told_by_runs import tensors_of
 from cgtorch.graphs import ActionSet
 from cgtorch.simulation import rollout
 from cgtorch.simulation.program import compile_graphs
-from cgtorch.simulation.rollout import rollout_in_torch
+from cgtorch.simulation.torch_engine import rollout_in_torch
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.edge_networks import edge_actions
 
@@ -25,7 +25,7 @@ AT_ONCE = {
     "program.py: skill_tables", "graphs.py: <genexpr>",
 }  # fmt: skip
 """Where the host waits once for all that is rolled out, or copies tables of graphs."""
-EVERY_STEP = "rollout.py: _grouped"
+EVERY_STEP = "torch_engine.py: _grouped"
 
 
 def sets_for(size: int) -> dict[str, ActionSet]:

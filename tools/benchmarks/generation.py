@@ -21,12 +21,12 @@ from cgtorch.graphs import Graphs
 from cgtorch.improvement.events import GenerationDone
 from cgtorch.report.tensorboard import TensorBoardWatch
 from cgtorch.simulation import MAX_STEPS, MAX_TRANSITIONS
-from cgtorch.simulation.engines import engine_of
+from cgtorch.simulation.rollout import engine_of
 
 MODELS = ("Γ", "C", "networks")
 """The necessary parts of a generation; the rest is overhead."""
 INSIDE = (*MODELS, "possible motions")
-"""The parts that compiled code can repeat, in the order of kinds.h."""
+"""The parts that compiled code can repeat, in the order of program.h."""
 PARTS = (*INSIDE, "rest of rollouts", "selection", "operators", "logging")
 MORE, TRIES = 2, 4
 LOOKED_AT, LATER = (1, 10, 50), (10,)

@@ -3,8 +3,6 @@
    are defined (engine/models.h), with sizes as constants (cgtorch.simulation.gpu_engine). */
 #pragma once
 #include "engine/actions.h"
-#include "engine/advance.h"
-#include "launch.h"
 
 #define REFILL 8 /* threads without a lane, for whom it pays to look for new ones */
 

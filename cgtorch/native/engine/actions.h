@@ -1,6 +1,6 @@
-/* The actions of section VI, for the lanes of a vector that are at nodes of one kind. */
+/* The actions of section VI, for the lanes of a vector that are at nodes of one kind, and their next nodes
+   (cgtorch.simulation.torch_engine). */
 #pragma once
-#include "kinds.h"
 #include "lanes.h"
 #include "networks.h"
 
@@ -104,4 +104,74 @@ APART void answer(const Action *a, const real *weights, const void *models, Layo
 INLINE Done apply_output(const Action *a, const vec *out, Lanes *lanes, vwhole here) {
   if (a->kind == BRANCHING || a->kind == DOMAIN_BRANCHING) return MAKE(Done){branch(out), every(0)};
   return say(lanes, out, a->outputs, here);
+}
+
+#define PAGE (8 * (int)sizeof(whole)) /* nodes that `visited` can tell apart */
+
+/* Places count from the graph's first node; those of sub-skills are before it. Loops that span two pages are
+   executed; hardly any graph has more nodes than a page. */
+INLINE int64_t page_of(int64_t place) { return place >> (sizeof(whole) == 4 ? 5 : 6); }
+INLINE vwhole bit_of(int64_t place) { return every((whole)((uint64_t)1 << (place & (PAGE - 1)))); }
+
+/* Enters the sub-skills of a lane's node, through all levels (`call_stack.enter`). */
+APART void enter(const Program *program, GraphRows graph, Lanes *lanes, int i) {
+  for (;;) {
+    int64_t skill = kind_of(program, graph, lanes->node[i]) - program->count;
+    if (skill < 0) return;
+    lanes->outer[lanes->level[i]][i] = lanes->left[i];
+    whole level = ++lanes->level[i];
+    lanes->caller[level][i] = lanes->node[i];
+    lanes->left[i] = (whole)program->limit[skill];
+    lanes->node[i] = (whole)program->entry[skill];
+    lanes->visited[i] = 0;
+  }
+}
+
+/* Leaves the sub-skills that end with `head`, an end, and enters the next ones; returns how the lane ended,
+   or 0. */
+APART whole leave(const Program *program, GraphRows graph, Lanes *lanes, int i, int64_t head) {
+  while (head < 0 && lanes->level[i] > 0) {
+    /* A sub-skill's first outcome is success, its second failure; a timeout is a failure. */
+    whole level = lanes->level[i]--;
+    head = head_of(program, graph, lanes->caller[level][i], head != SUCCESS);
+    lanes->left[i] = lanes->outer[level - 1][i] - 1;
+    if (head >= 0 && lanes->left[i] <= 0) head = TIMEOUT;
+  }
+  if (head < 0) return (whole)head;
+  lanes->visited[i] = 0;
+  lanes->node[i] = (whole)head;
+  enter(program, graph, lanes, i);
+  return 0;
+}
+
+/* `call_stack.advance` for lanes `here`, all at `node` with the same outcome; returns those that have ended,
+   and sets their status. */
+INLINE vwhole advance(const Task *task, GraphRows graph, Lanes *lanes, int64_t node, int64_t outcome,
+                     vwhole here, vwhole changed) {
+  const Program *program = task->program;
+  int64_t head = head_of(program, graph, node, outcome), first = program->rows;
+  int enters = head >= 0 && kind_of(program, graph, head) >= program->count;
+  vwhole left = lanes->left - 1, skipped = every(0), end = every((whole)head);
+  if (head >= 0) { /* back where it was with nothing changed, only the limit of transitions ends it */
+    vwhole bit = bit_of(head - first), same = here & ~changed;
+    if (enters || page_of(head - first) != page_of(node - first)) same = every(0);
+    skipped = left & same & ((lanes->visited & bit) != 0);
+    left -= skipped;
+    end = (left <= 0) & TIMEOUT;
+    lanes->visited = select_whole(here, (lanes->visited & same) | bit, lanes->visited);
+    lanes->node = select_whole(here, every((whole)head), lanes->node);
+  }
+  lanes->left = select_whole(here, left, lanes->left);
+  vwhole apart = here & select_whole(end != 0, lanes->level > 0, every(-enters));
+  for (uint32_t bits = program->depth > 1 ? bits_of(apart) : 0; bits; bits &= bits - 1) {
+    int i = first_of(bits);
+    if (end[i]) end[i] = leave(program, graph, lanes, i, end[i]);
+    else enter(program, graph, lanes, i);
+  }
+  vwhole step = lanes->step + 1 + skipped, most = every((whole)task->max_steps), over = step >= most;
+  end = select_whole(over & (skipped > 0), every(TIMEOUT), end);
+  lanes->step = select_whole(here, select_whole(over, most, step), lanes->step);
+  lanes->executed -= here;
+  lanes->status = select_whole(here, end, lanes->status);
+  return here & (over | (end != 0));
 }

@@ -15,8 +15,7 @@
    All of them take a vector of lanes at once. `bits` or `rows` are those that count; what comes out of
    others is never looked at. */
 #pragma once
-#include "limits.h"
-#include "real.h"
+#include "program.h"
 
 #define UNKNOWN (-1)
 

@@ -3,6 +3,25 @@
 #pragma once
 #include "real.h"
 
+/* Sizes that compiled code supports. Larger ones run in torch. For a GPU, sizes are those needed. */
+#ifndef MOST_DEPTH
+#define MOST_DEPTH 16
+#define MOST_MESSAGE 16
+#define MOST_PERCEPT 64
+#define MOST_HIDDEN 64
+#endif
+#define MOST_DELAYED 256 /* numbers of a percept and its changes */
+#define MOST_SEEN (MOST_PERCEPT + 9) /* numbers that a network reads */
+#define MOST_WEIGHTS (MOST_HIDDEN * (MOST_SEEN + 1) + MOST_MESSAGE * (MOST_HIDDEN + 1))
+
+/* RECURRENT and DELAY have a memory, which only the lanes of resumable.h have. Inputs and outputs of
+   the kinds DOMAIN_... are mapped by the code of a domain. */
+enum {
+  STEP, PERCEIVE, TEST, CONTINUOUS, BRANCHING, DOMAIN_NN, DOMAIN_OTHER_NN, DOMAIN_BRANCHING, RECURRENT,
+  DELAY, IN_PYTHON
+};
+enum { IN_GAMMA, IN_C, IN_NETWORKS, IN_POSSIBLE, PARTS };
+
 #define NO_NODE (-1)
 #define SUCCESS (-1)
 #define FAILURE (-2)

@@ -1,10 +1,8 @@
 /* Lanes that run until they need Python. Include it where the models are defined (models.h). */
 #pragma once
 #include "actions.h"
-#include "columns.h"
 #include "library.h"
-#include "memory.h"
-#include "walk.h"
+#include "waiting.h"
 
 /* Lanes that continue together, from a share's queue; the last vector is padded with the first one. */
 typedef struct {

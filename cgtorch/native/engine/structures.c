@@ -1,8 +1,6 @@
 /* Structures and constants shared by Python and rollouts. */
 #include "library.h"
-#include "kinds.h"
-#include "task.h"
-#include "cuda/launch.h"
+#include "lanes.h"
 
 EXPORT_STRUCT(Action)
 EXPORT_STRUCT(Program)

@@ -1,7 +1,34 @@
-/* The initial state of rollouts that wait for Python, and the requests to Python. */
-#include "columns.h"
-#include "library.h"
-#include "walk.h"
+/* The initial state of rollouts that wait for Python, the requests to Python, and rollouts in environments in
+   Python, where there are no models (models.h). */
+#include "models.h"
+
+typedef struct {
+  int size;
+} Layout;
+typedef Layout View;
+
+INLINE Layout layout_of(int64_t size) { return MAKE(Layout){(int)size}; }
+INLINE vwhole possible(const void *models, Layout layout, const vec *percept, const vec *control,
+                       vwhole rows) {
+  return rows & 0;
+}
+INLINE void next_percept(const void *models, Layout layout, const vec *percept, const vec *control,
+                         uint32_t bits, vec *after, vec *novelty) {
+  memcpy(after, percept, (size_t)layout.size * sizeof *after);
+  *novelty = vec_of(0);
+}
+INLINE vec chance_of(const void *models, Layout layout, const vec *percept, uint32_t bits) {
+  return vec_of(0);
+}
+INLINE const vec *looked_at(int64_t kind, Layout layout, const vec *percept, vec *seen, View *view) {
+  *view = layout;
+  return percept;
+}
+INLINE void said(const void *models, int64_t kind, Layout layout, const vec *percept, const View *view,
+                 vwhole rows, vec *out) {
+}
+
+#include "resumable.h"
 
 EXPORT_STRUCT(Waiting)
 EXPORT_CONSTANTS(waiting_limits, SHARE)
@@ -127,4 +154,9 @@ int ask_python(Waiting *w, int64_t threads) {
   }
   if (w->kind >= 0) in_parallel(ask_share, w, lanes, SHARE, threads);
   return DONE;
+}
+
+int worlds_resumed(Waiting *w, int64_t threads) {
+  in_parallel(run_share, w, w->graphs * w->count, SHARE, threads);
+  return ask_python(w, threads);
 }

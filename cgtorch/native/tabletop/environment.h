@@ -1,6 +1,6 @@
 /* The tabletop for rollouts (engine/models.h). */
 #pragma once
-#include "engine/kinds.h"
+#include "engine/program.h"
 #include "engine/models.h"
 #include "models.h"
 #include "routes.h"

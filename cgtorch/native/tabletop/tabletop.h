@@ -2,7 +2,7 @@
    and cgtorch.tabletop.edge_networks. */
 #pragma once
 #include "angles.h"
-#include "engine/limits.h"
+#include "engine/program.h"
 
 #define TURN_STEPS 12 /* of 15 degrees */
 

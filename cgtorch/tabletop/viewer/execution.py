@@ -10,9 +10,8 @@ from torch import Generator, Tensor
 from cgtorch.graphs import Action, Skill
 from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.simulation import most_steps
-from cgtorch.simulation.call_stack import Frames, advance, first_frames
 from cgtorch.simulation.program import Program, compile_graphs
-from cgtorch.simulation.rollout import rollout_in_torch
+from cgtorch.simulation.torch_engine import Frames, advance, first_frames, rollout_in_torch
 from cgtorch.tabletop.world import ObservedTabletop, Scenarios, draw_of
 from cgtorch.tabletop.world.geometry import rotate
 

@@ -3,20 +3,19 @@
 from dataclasses import replace
 from typing import Any
 
-import networkx as nx
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from reaching import world_of
-from support import random_graphs, seeded
+from support import random_graphs, random_skill, seeded
+from walking import chain
 
-from cgtorch.graphs import Action, ActionSet, Skill, SubSkill, from_networkx
-from cgtorch.graphs.view import View
+from cgtorch.export.stepper import Stepper
+from cgtorch.graphs import Action, Skill, SubSkill
 from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import ActionError, DataError
 from cgtorch.simulation.rollout import most_steps, rollout
-from cgtorch.simulation.stepper import Stepper
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
 
@@ -59,12 +58,11 @@ def test_any_skill_ends_as_in_a_rollout(seed: int) -> None:
     outer = actions.extended(["inner"], [SubSkill(inner)])
     skill = Skill("outer", random_graphs(seed + 1, 1, outer), outer, 12)
     world = world_of(random_scenarios("perimeter", 1, generator))
-    # A trace keeps it in torch, whose last digits a step has, too.
-    runs = rollout(skill.graph, outer, world, max_transitions=12, trace=lambda *_: None)
+    runs = rollout(skill.graph, outer, world, max_transitions=12)
     end, _, percept = run_by_steps(skill, world)
     wanted = "success" if runs.succeeded[0, 0] else "timeout" if runs.timed_out[0, 0] else "failure"
     assert end == wanted
-    assert torch.equal(percept, runs.percept[0, 0])
+    torch.testing.assert_close(percept, runs.percept[0, 0], rtol=0, atol=1e-4)
 
 
 class Nosy(Action):
@@ -81,25 +79,34 @@ def test_what_a_robot_does_not_have_is_named() -> None:
     graph = many[(starts == actions.index("Nosy")).nonzero()[:1, 0]]
     with pytest.raises(ActionError, match="asks its environment for 'step'"):
         Stepper(Skill("nosy", graph, actions)).act([0.0] * 7)
-    with pytest.raises(DataError, match="one row of numbers"):
-        Stepper(Skill("nosy", graph, actions)).act([[0.0] * 7])  # type: ignore[list-item]
+    for percept in ([[0.0] * 7], 1.0, ["far"]):
+        with pytest.raises(DataError, match="one row of numbers"):
+            Stepper(Skill("nosy", graph, actions)).act(percept)  # type: ignore[arg-type]
+    for row in ([0.0] * 6, [torch.nan, *[0.0] * 6]):
+        with pytest.raises(DataError, match="give 7 or more finite numbers"):
+            Stepper(random_skill(0, "S", paper_actions())).act(row)
 
 
-def looping(name: str, action: str, outcome: str, actions: ActionSet) -> Skill:
-    """One node, over and over."""
-    view: View = nx.MultiDiGraph(start=0)
-    view.add_node(0, action=action, parameters=[])
-    view.add_edge(0, 0, outcome=outcome)
-    return Skill(name, from_networkx(view, actions), actions, 20)
+def test_a_sub_skill_may_begin_after_more_actions_than_it_could_make() -> None:
+    """Of all skills only the outermost limits the actions on all levels."""
+    actions = paper_actions()
+    long = Skill("long", chain(actions, "Detect"), actions, 45)
+    short = Skill("short", chain(actions, "Detect", "Detect"), actions, 2)
+    both = actions.extended(["long", "short"], [SubSkill(long), SubSkill(short)])
+    skill = Skill("S", chain(both, *["long"] * 10, "short"), both, 11)
+    stepper, asked = Stepper(skill), 0
+    while not stepper.act([0.0] * 7).ended:
+        asked += 1
+    assert asked == 10 * 45 + 2
 
 
 def test_skills_within_skills_run_out_of_actions_together() -> None:
     """Three levels of 20 transitions would be 8,000 actions; a rollout ends after 400."""
     actions = paper_actions()
-    skill = looping("looks", "Detect", "success", actions)
+    skill = Skill("looks", chain(actions, "Detect"), actions)
     for level in ("middle", "outer"):
         actions = actions.extended([skill.name], [SubSkill(skill)])
-        skill = looping(level, skill.name, "failure", actions)
+        skill = Skill(level, chain(actions, skill.name), actions)
     stepper, asked = Stepper(skill), 0
     while not (request := stepper.act([0.0] * 7)).ended:
         asked += 1

@@ -1,1 +1,0 @@
-"""The parts of exported state machines, copied as they are: plain Python, nothing else."""

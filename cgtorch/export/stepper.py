@@ -1,0 +1,181 @@
+"""One skill for one robot: what to do next, request by request."""
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from math import isfinite
+from typing import Any, cast
+
+import torch
+from torch import Tensor
+
+from cgtorch.export.plain import Perceive, State, StateMachine, Step, Test, Userdata
+from cgtorch.export.state_machine import leads_of, memory_places, plain_arguments
+from cgtorch.export.step import Nowhere
+from cgtorch.graphs import Action, Skill
+from cgtorch.graphs.action import own
+from cgtorch.graphs.clusters import Node, clusters_of
+from cgtorch.ground.environment import Environment, Lanes
+from cgtorch.ground.errors import DataError
+from cgtorch.simulation import most_steps
+
+ROUTINES = {"control": Step, "perceive": Perceive, "test": Test}
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a robot should do next, or how the skill has ended.
+
+    Attributes:
+        kind: "control", "perceive" or "test"; or "success", "failure" or "timeout" at the end.
+        action: The name of the action that asks; "" at the end.
+        control: The control to carry out, for "control".
+    """
+
+    kind: str
+    action: str = ""
+    control: tuple[float, ...] = ()
+
+    @property
+    def ended(self) -> bool:
+        """Whether the skill has ended."""
+        return self.kind in StateMachine.outcomes
+
+
+class Stepper:
+    """Tells one robot what to do next, for as long as a skill runs.
+
+    It behaves like `rollout` on one scenario, up to rounding: sub-skills with their own limits,
+    messages and the common memory. It runs the state machine that `to_state_machine` writes, and
+    calls actions of your own with one row. `act` begins the skill with its first call, and again
+    after its end:
+
+        request = stepper.act(percept)
+        while not request.ended:
+            done, percept = robot(request)  # by request.kind
+            request = stepper.act(percept, done)
+    """
+
+    def __init__(self, skill: Skill, seed: int = 0, max_steps: int | None = None):
+        """Prepare a skill.
+
+        `seed` is that of the numbers that stochastic actions draw, and `max_steps` are the actions
+        on all levels after which the skill times out, by default `most_steps`.
+        """
+        actions = [action for _, action in skill.primitives]
+        self.skill, self._seed = skill, seed
+        self._places, self._memory_size = memory_places(actions)
+        self._percept_size = max([0, *(getattr(a, "percept_size", 0) for a in actions)])
+        self._requests: dict[State, Request] = {}
+        most = most_steps(skill.actions, skill.max_transitions)
+        self._machine = self._built(most if max_steps is None else max_steps)
+        self._message_size = max(level.actions.message_size for level in skill.levels)
+        self._walk: Generator[State, str, str] | None = None
+        self._asked: State | None = None
+
+    def act(self, percept: Sequence[float] | Tensor, done: bool = True) -> Request:
+        """What to do next at a percept (D,), after the last request succeeded or failed.
+
+        DataError for a percept that is not a row of D finite numbers, ActionError if an action asks
+        its environment for more than a robot has.
+        """
+        seen = self._row(percept)
+        try:
+            if self._walk is None or self._asked is None:
+                nothing = [0.0] * self._message_size, False, [0.0] * self._memory_size
+                self._userdata = Userdata(seen, *nothing)
+                self._walk = self._machine.walk(self._userdata)
+                state = next(self._walk)
+            else:
+                self._userdata.percept = seen
+                state = self._walk.send(self._asked.outcomes[0 if done else -1])
+            while not state.asks(self._userdata):
+                impossible = state in self._requests  # a control that is none
+                outcome = state.outcomes[-1] if impossible else state.execute(self._userdata)
+                state = self._walk.send(outcome)
+        except StopIteration as end:
+            self._walk = None
+            return Request(str(end.value))
+        except BaseException:
+            self._walk = None
+            raise
+        self._asked = state
+        request = self._requests[state]
+        if isinstance(state, Step):
+            request = replace(request, control=tuple(state.control(self._userdata)))
+        return request
+
+    def _row(self, percept: Sequence[float] | Tensor) -> list[float]:
+        values: Any = percept.tolist() if isinstance(percept, Tensor) else percept
+        try:
+            seen = [float(x) for x in values]
+        except (TypeError, ValueError) as e:
+            raise DataError(f"percept is {percept!r:.80}; give one row of numbers") from e
+        if len(seen) < self._percept_size or not all(map(isfinite, seen)):
+            raise DataError(
+                f"percept is {seen!r:.200}; give {self._percept_size} or more finite numbers"
+            )
+        return seen
+
+    def _built(self, max_steps: int) -> StateMachine:
+        """The outermost skill's machine."""
+        clusters = clusters_of(self.skill)
+        machines = {
+            c.key: StateMachine(c.name, c.nodes[c.start].label, c.skill.max_transitions, max_steps)
+            for c in clusters
+        }
+        for cluster in clusters:
+            for node in cluster.nodes.values():
+                state = machines[node.runs] if node.runs else self._state(node)
+                machines[cluster.key].add(node.label, state, leads_of(cluster, node))
+        return machines[clusters[0].key]
+
+    def _state(self, node: Node) -> State:
+        """The state of a node that is no skill."""
+        action, memory = node.action, self._places[id(node.action)]
+        if asks := own(action, "request"):
+            state = ROUTINES[asks](node.parameters)
+            state.outcomes = action.outcomes
+            if isinstance(state, Step):
+                state.control_size = getattr(action, "control_size", 0)
+            self._requests[state] = Request(asks, node.name)
+            return state
+        if not (module := own(action, "plain_module")):
+            who, size = f"action {type(action).__name__}", self.skill.actions.message_size
+            nowhere = Nowhere(who, self._percept_size, size, self._seed)
+            return _Own(action, node.parameters, memory, nowhere, self.skill.graph.parameters.dtype)
+        kind = getattr(import_module(module), type(action).__name__)
+        made: State = kind(node.parameters, **plain_arguments(action, memory))
+        return made
+
+
+class _Own(State):
+    """An action in torch, for one row of numbers of a type."""
+
+    def __init__(
+        self,
+        action: Action,
+        parameters: Sequence[float],
+        memory: range,
+        nowhere: Nowhere,
+        dtype: torch.dtype,
+    ):
+        super().__init__(parameters)
+        self.action, self.memory = action, slice(memory.start, memory.stop)
+        self.dtype, self.nowhere = dtype, cast(Environment, nowhere)
+
+    def row(self, numbers: Sequence[float]) -> Tensor:
+        """The numbers as a batch of one."""
+        return torch.tensor([numbers], dtype=self.dtype)
+
+    def execute(self, userdata: Userdata) -> str:
+        """See `Action.forward`."""
+        percept, message = self.row(userdata.percept), self.row(userdata.message)
+        memory, zero = self.row(userdata.memory[self.memory]), torch.zeros(1, dtype=torch.long)
+        has, step = torch.tensor([userdata.has_message]), torch.tensor([userdata.steps])
+        lanes = Lanes(percept, percept[:, :0], message, has, memory, zero, step)
+        with torch.no_grad():
+            after, outcome = self.action(lanes, self.row(self.parameters), self.nowhere)
+        userdata.message, userdata.has_message = after.message[0].tolist(), bool(after.has_message)
+        userdata.memory[self.memory] = after.memory[0].tolist()
+        return self.action.outcomes[int(outcome)]
