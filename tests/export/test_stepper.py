@@ -1,68 +1,20 @@
-"""A skill that acts step by step does what `rollout` does."""
+"""A skill that acts step by step; `tests/simulation/reference.py` compares it with rollouts."""
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from reaching import world_of
 from support import random_graphs, random_skill, seeded
 from walking import chain
 
 from cgtorch.export.stepper import Stepper
 from cgtorch.graphs import Action, Skill, SubSkill
-from cgtorch.ground.environment import Environment, Lanes, start_lanes
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, DataError
 from cgtorch.simulation.rollout import most_steps, rollout
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
-
-
-class Counter(Action):
-    """Counts its visits in its memory, and says whether they are even."""
-
-    outcomes = ("odd", "even")
-    memory_size = 1
-
-    def forward(self, lanes: Lanes, parameters: Any, environment: Environment) -> Any:
-        memory = lanes.memory + 1
-        return replace(lanes, memory=memory), (memory[:, 0] % 2 == 0).long()
-
-
-def run_by_steps(skill: Skill, world: Environment) -> tuple[str, int, torch.Tensor]:
-    """How a skill ends on the only scenario, its world actions, and the last percept."""
-    lanes = start_lanes(world, torch.tensor([0]), 0, 0)
-    stepper, asked, done = Stepper(skill), 0, True
-    request = stepper.act(lanes.percept[0])
-    while not request.ended:
-        asked += request.kind != "perceive"
-        match request.kind:
-            case "control":
-                lanes, moved = world.step(lanes, torch.tensor([request.control]))
-                done = bool(moved)
-            case "perceive":
-                lanes, done = world.observe(lanes), True
-            case "test":
-                lanes, chance = world.success(lanes)
-                done = bool(chance > 0.5)
-        request = stepper.act(lanes.percept[0].tolist(), done)
-    return request.kind, asked, lanes.percept[0]
-
-
-@given(st.integers(0, 2**20))
-def test_any_skill_ends_as_in_a_rollout(seed: int) -> None:
-    generator, actions = seeded(seed), paper_actions().extended(["Counter"], [Counter()])
-    inner = Skill("inner", random_graphs(seed, 1, actions), actions, 5)
-    outer = actions.extended(["inner"], [SubSkill(inner)])
-    skill = Skill("outer", random_graphs(seed + 1, 1, outer), outer, 12)
-    world = world_of(random_scenarios("perimeter", 1, generator))
-    runs = rollout(skill.graph, outer, world, max_transitions=12)
-    end, _, percept = run_by_steps(skill, world)
-    wanted = "success" if runs.succeeded[0, 0] else "timeout" if runs.timed_out[0, 0] else "failure"
-    assert end == wanted
-    torch.testing.assert_close(percept, runs.percept[0, 0], rtol=0, atol=1e-4)
 
 
 class Nosy(Action):

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import networkx as nx
 import pytest
 import torch
 from hypothesis import given, settings
@@ -20,6 +19,7 @@ from support import (
     world,
 )
 from told_by_runs import tensors_of
+from walking import chain, walking_actions
 
 from cgtorch.graphs import (
     ActionSet,
@@ -27,13 +27,12 @@ from cgtorch.graphs import (
     RecurrentNN,
     Skill,
     SubSkill,
-    from_networkx,
     load_skill,
+    narrowed,
     save_skill,
     skill_from_dict,
     skill_to_dict,
 )
-from cgtorch.graphs.view import View
 from cgtorch.ground.errors import ActionError, CgtorchError, GraphError, RunError
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import paper_actions
@@ -95,17 +94,7 @@ def test_a_skill_without_sub_skills_needs_the_primitive_actions_only() -> None:
     skill = random_skill(1, "S0", paper_actions())
     again = skill_from_dict(skill_to_dict(skill), paper_actions())
     assert again.actions.names == paper_actions().names
-    assert same(
-        again.graph,
-        replace(
-            skill.graph,
-            **{
-                name: value[:, : skill.num_nodes]
-                for name, value in vars(skill.graph).items()
-                if name != "start"
-            },
-        ),
-    )
+    assert same(again.graph, narrowed(skill.graph, skill.num_nodes))
 
 
 def test_a_shared_sub_skill_is_stored_and_made_once() -> None:
@@ -145,12 +134,7 @@ def test_many_levels_that_share_are_read_quickly() -> None:
 
 def visiting_all(name: str, actions: ActionSet) -> Skill:
     """A skill that visits every sub-skill in turn."""
-    view: View = nx.MultiDiGraph(start=0)
-    subs = actions.names[5:]
-    for i, sub in enumerate(subs):
-        view.add_node(i, action=sub, parameters=[])
-        view.add_edge(i, (i + 1) % len(subs), outcome="failure")
-    return Skill(name, from_networkx(view, actions), actions)
+    return Skill(name, chain(actions, *actions.names[5:]), actions)
 
 
 GOOD: dict[str, Any] = {
@@ -358,6 +342,12 @@ def test_wrong_data_anywhere_end_in_a_typed_error(data: st.DataObject) -> None:
         key = data.draw(st.sampled_from(keys))
     place[key] = data.draw(values)
     attempt(lambda: skill_from_dict(root[0], ACTIONS))
+
+
+def test_an_action_is_found_wherever_its_class_was() -> None:
+    data = skill_to_dict(Skill("S", chain(walking_actions(), "Aim", "Step"), walking_actions()))
+    data["actions"]["Step"]["class"] = "cgtorch.graphs.where_it_was:Step"
+    assert type(skill_from_dict(data).actions.actions[1]).__name__ == "Step"
 
 
 @given(st.integers(0, 2**31))

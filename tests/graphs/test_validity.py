@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from dataclasses import replace
 
 import networkx as nx
@@ -7,6 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from support import custom_actions, is_valid, nested_actions, random_graphs, same, seeded
+from walking import chain
 
 from cgtorch.graphs import (
     NO_NODE,
@@ -22,7 +22,6 @@ from cgtorch.graphs import (
     to_networkx,
     valid,
 )
-from cgtorch.graphs.view import View
 from cgtorch.ground.errors import GraphError
 
 ACTIONS = custom_actions()
@@ -80,61 +79,29 @@ def test_valid_and_check_graph_agree_with_the_plain_rule(seed: int, data: st.Dat
             check_graph(graphs, ACTIONS)
 
 
-def detect_then_grasp() -> Graphs:
-    view: View = nx.MultiDiGraph(start="a")
-    view.add_node("a", action="Detect", parameters=[])
-    view.add_node("b", action="Grasp", parameters=[])
-    view.add_node("c", action="ContinuousNN", parameters=[0.5] * 36)
-    view.add_edge("a", "b", outcome="success")
-    view.add_edge("b", "c", outcome="failure")
-    view.add_edge("c", "a", outcome="success")
-    return from_networkx(view, ACTIONS)
-
-
-def _start(g: Graphs) -> None:
-    g.start[0] = 7
-
-
-def _edge(g: Graphs) -> None:
-    g.edges[0, 1, 1] = NO_NODE
-
-
-def _terminal(g: Graphs) -> None:
-    g.edges[0, 1, 0] = 2
-
-
-def _outcome(g: Graphs) -> None:
-    g.edges[0, 0, 2] = 1
-
-
-def _unreached(g: Graphs) -> None:
-    g.edges[0, 1, 1] = 0
-
-
-def _action(g: Graphs) -> None:
-    g.action[0, 1] = 99
-
-
-def _nan(g: Graphs) -> None:
-    g.parameters[0, 2, 3] = torch.nan
-
-
 @pytest.mark.parametrize(
-    ("damage", "message"),
+    ("name", "place", "value", "message"),
     [
-        (_start, "start node 7 does not exist; nodes are"),
-        (_edge, r"node 1 \(Grasp\) has no edge for outcome 'failure' \(head -1\)"),
-        (_terminal, "node 1 has an edge to 2 for outcome 'success', which is terminal"),
-        (_outcome, "node 0 has an edge to 1 for outcome 2, which is terminal or does not exist"),
-        (_unreached, "node 2 cannot be reached from the start; remove or connect it"),
-        (_action, "node 1 has action 99; the set has 6"),
-        (_nan, "node 2 has parameters that are not finite; give numbers"),
+        ("start", (0,), 7, "start node 7 does not exist; nodes are"),
+        ("edges", (0, 1, 1), -1, r"node 1 \(Grasp\) has no edge for outcome 'failure' \(head -1\)"),
+        ("edges", (0, 1, 0), 2, "node 1 has an edge to 2 for outcome 'success', which is terminal"),
+        ("edges", (0, 0, 2), 1, "node 0 has an edge to 1 for outcome 2, which is terminal or does"),
+        ("edges", (0, 1, 1), 0, "node 2 cannot be reached from the start; remove or connect it"),
+        ("action", (0, 1), 99, "node 1 has action 99; the set has 6"),
+        (
+            "parameters",
+            (0, 2, 3),
+            torch.nan,
+            "node 2 has parameters that are not finite; give numb",
+        ),
     ],
 )
-def test_what_check_graph_says(damage: Callable[[Graphs], None], message: str) -> None:
-    graphs = detect_then_grasp()
+def test_what_check_graph_says(
+    name: str, place: tuple[int, ...], value: float, message: str
+) -> None:
+    graphs = chain(ACTIONS, "Detect", "Grasp", "ContinuousNN")
     check_graph(graphs, ACTIONS)
-    damage(graphs)
+    getattr(graphs, name)[place] = value
     with pytest.raises(GraphError, match=message):
         check_graph(graphs, ACTIONS)
     with pytest.raises(GraphError, match=message):
@@ -152,7 +119,7 @@ def test_view_round_trip(seed: int) -> None:
 
 
 def test_the_view_says_what_the_paper_draws() -> None:
-    view = to_networkx(detect_then_grasp(), ACTIONS)
+    view = to_networkx(chain(ACTIONS, "Detect", "Grasp", "ContinuousNN"), ACTIONS)
     labels = nx.get_node_attributes(view, "label")
     assert labels == {0: "Detect_0", 1: "Grasp_1", 2: "ContinuousNN_2"}
     assert view.graph["start"] == 0
@@ -164,11 +131,7 @@ def test_the_view_says_what_the_paper_draws() -> None:
 
 
 def test_parallel_edges_are_kept() -> None:
-    view: View = nx.MultiDiGraph(start=0)
-    view.add_node(0, action="MoveBase", parameters=[])
-    view.add_edge(0, 0, outcome="success")
-    view.add_edge(0, 0, outcome="failure")
-    graphs = from_networkx(view, ACTIONS)
+    graphs = from_networkx(to_networkx(chain(ACTIONS, "MoveBase"), ACTIONS), ACTIONS)
     assert graphs.edges[0, 0].tolist() == [0, 0, NO_NODE]
     assert to_networkx(graphs, ACTIONS).number_of_edges(0, 0) == 2
 

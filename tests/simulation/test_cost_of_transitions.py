@@ -89,7 +89,7 @@ class InTorch(ModelEnvironment):
     """The same models, but no longer what compiled code knows."""
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**31),
     dtype=st.sampled_from([torch.float32, torch.float64]),

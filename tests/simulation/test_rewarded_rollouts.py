@@ -74,7 +74,7 @@ def expected(
     limit=st.integers(1, 30),
     steps=st.integers(1, MOST_IDLE),
 )
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_lanes_end_with_their_episodes_and_no_others_change(
     seed: int, actions: ActionSet, limit: int, steps: int
 ) -> None:
