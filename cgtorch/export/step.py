@@ -86,11 +86,10 @@ class Computed(nn.Module):
         step: Tensor,
         parameters: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Maps lanes as tensors to lanes after the action and its outcome (1,) long.
+        """The message, whether there is one, the memory, and the outcome (1,) long.
 
         Arguments are percept (1, D), message (1, M), whether there is one (1,) bool, memory (1, C),
-        step (1,) long and parameters (1, K). Returned are message, whether there is one, memory,
-        and the outcome.
+        step (1,) long and parameters (1, K).
         """
         nowhere = cast(Environment, Nowhere("it", *self.sizes[:2]))
         lanes = Lanes(percept, percept[:, :0], message, has, memory, torch.zeros_like(step), step)
@@ -119,13 +118,11 @@ class Computed(nn.Module):
 
 
 class SkillStep(nn.Module):
-    """One step of a skill.
+    """One step of a skill, with the results of `rollout`.
 
     Networks and other actions that only compute run inside. For all others, the robot gets a
-    request. The position in the skill is in `place`, messages and memory are in `mind`; both are
-    zeros at the beginning, and the module stores nothing. It behaves like the engine: sub-skills
-    with their own limits, messages and the common memory, and `max_steps` on all levels. A control
-    that is not there or not finite fails without a request.
+    request. The position in the skill is in `place`, messages and memory are in `mind`; the module
+    stores nothing. A control that is not there or not finite fails without a request.
 
     Attributes:
         name: The skill's name.

@@ -1,4 +1,4 @@
-"""The structure of a skill for drawings: nodes, edges and ends, in a cluster for every skill."""
+"""The structure of a skill for drawings and state machines: a cluster for every skill in it."""
 
 from dataclasses import dataclass
 

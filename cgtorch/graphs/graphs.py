@@ -21,8 +21,7 @@ NO_NODE = -1
 class Graphs:
     """P computational graphs of up to N nodes.
 
-    A node is a slot, and unused slots may be anywhere. A node has one edge per outcome, each with
-    its own head, so there can be parallel edges.
+    A node is a slot, and unused slots may be anywhere. A node has one edge per outcome.
 
     Attributes:
         action: (P, N) long, index into the action set, `NO_NODE` in unused slots.
@@ -105,8 +104,7 @@ def compacted(graphs: Graphs) -> Graphs:
     order = torch.argsort((~graphs.used).long(), dim=1, stable=True)
     place = torch.argsort(order, dim=1)
 
-    def taken(x: Tensor) -> Tensor:
-        """Rows of x (P, N, ...) in the new order."""
+    def taken(x: Tensor) -> Tensor:  # rows of x (P, N, ...) in the new order
         return x.gather(1, order.view(*order.shape, *[1] * (x.dim() - 2)).expand_as(x))
 
     return Graphs(

@@ -34,10 +34,9 @@ def one_hidden_layer(x: Tensor, weights: Tensor, hidden: int, outputs: int) -> T
 def light_layer(x: Tensor, weights: Tensor, biases: Tensor) -> Tensor:
     """A linear layer with scaled parameters, whose outputs are (n, units).
 
-    It multiplies the matrices `weights` (n, units * inputs) by x (n, inputs) and adds `biases` (n,
-    units). The parameters of a node are standard normal, as for any action. They are multiplied by
-    0.5 for weights and by 0.01 for biases, because the constant input 1 of a bias is far larger
-    than a percept near its goal.
+    It multiplies the matrices `weights` (n, units * inputs), times 0.5, by x (n, inputs) and adds
+    `biases` (n, units) times 0.01, as the constant input 1 of a bias is far larger than a percept
+    near its goal.
     """
     rows = weights.unflatten(-1, (biases.shape[-1], x.shape[-1]))
     return WEIGHT * (rows * x[..., None, :]).sum(-1) + BIAS * biases
@@ -144,15 +143,13 @@ class DelayNN(Action):
     """A linear network of the percept and its latest changes, whose output is sent as a message.
 
     It sends V s + c. The vector s is the percept x(t) followed by ten times the changes x(t) -
-    x(t-1), x(t-1) - x(t-2), and so on. This is a tapped delay line (Waibel et al., "Phoneme
-    recognition using time-delay neural networks", IEEE Trans. ASSP 37, 1989) in the basis of
-    backward differences. A change in one step is typically a tenth of a percept's spread, so the
-    factor gives all inputs a similar size. On double pole balancing without velocities, the network
-    is learnable only with this factor.
+    x(t-1), x(t-1) - x(t-2), and so on: a tapped delay line (Waibel et al., "Phoneme recognition
+    using time-delay neural networks", IEEE Trans. ASSP 37, 1989) of backward differences. The
+    factor gives all inputs a similar size; without it, double pole balancing is not learned.
 
     The parameters of a node are V (outputs, (delays + 1) * inputs) row by row, then c. The earlier
-    percepts are in the lane's memory, which is zero when a skill begins. They belong to the action:
-    all nodes of the action share them, and time counts its executions.
+    percepts are in the lane's memory, zero when a skill begins. All nodes of the action share them,
+    and time counts its executions.
 
     Attributes:
         delays: Number of changes d; the memory has d * inputs numbers.
@@ -186,8 +183,7 @@ class DelayNN(Action):
 class LinearNN(DelayNN):
     """A linear network of the percept, V x + c, whose output is sent as a message.
 
-    It has the fewest parameters of any network that reacts to every number of a percept, so it is
-    tuned in few episodes if it is sufficient.
+    It has few parameters, so it is tuned in few episodes if it is sufficient.
     """
 
     native_kind = "DELAY"
@@ -201,12 +197,9 @@ class RecurrentNN(Action):
     """Maps the percept and a hidden state to a motion: an Elman network, 7-3-3.
 
     h' = tanh(W x + R h + b), and V h' + c is sent (Elman, "Finding structure in time", Cognitive
-    Science 14, 1990). Here x is the percept, and h is the state: `hidden` numbers of the lane's
-    memory, zero when a skill begins. The state belongs to the action, not to a node. All nodes of
-    the action, also those in sub-skills, share the state, and each has its own weights.
-
-    Weights and biases are scaled as in `light_layer`; without this, double pole balancing is not
-    learned.
+    Science 14, 1990), with weights and biases scaled as in `light_layer`. Here x is the percept,
+    and h is the state: `hidden` numbers of the lane's memory, zero when a skill begins. All nodes
+    of the action, also those in sub-skills, share the state, and each has its own weights.
     """
 
     first_step = 0.6  # of larger ones hidden states lose all memory but a sign

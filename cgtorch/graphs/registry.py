@@ -56,9 +56,9 @@ def resolve_actions(names: Sequence[str], basic: ActionSet, sizes: tuple[int, in
     """The `basic` actions, such as those of a domain, followed by those named.
 
     A name is that of a built-in action, which is made for percepts and controls of these `sizes`;
-    that of an entry point of the group "cgtorch.actions" of an installed package; or
-    "package.module:Class". An action that is named twice, or is already basic, is added once.
-    ActionError if a name is unknown or cannot be made into an action.
+    that of an entry point of the group "cgtorch.actions"; or "package.module:Class". An action that
+    is named twice, or is already basic, is added once. ActionError if a name is unknown or cannot
+    be made into an action.
     """
     actions = basic
     declared = {e.name: e for e in entry_points(group=ENTRY_POINTS)}
@@ -80,7 +80,6 @@ def resolve_actions(names: Sequence[str], basic: ActionSet, sizes: tuple[int, in
 
 
 def _made(spec: str, entry: EntryPoint) -> Action:
-    """The action of an entry point."""
     try:
         found = entry.load()
     except Exception as e:  # whatever a foreign module raises when it is imported
@@ -102,10 +101,7 @@ def _made(spec: str, entry: EntryPoint) -> Action:
 def check_action(
     name: str, action: Action, environment: Environment, device: torch.device | str = "cpu"
 ) -> None:
-    """Try an action on two fresh lanes, and again on what becomes of them.
-
-    ActionError names the method and what is wrong with it.
-    """
+    """Try an action on two fresh lanes, and again on what becomes of them; ActionError says why."""
     parameters = _parameters(name, action)
     scenario = two_rows(environment.num_scenarios, device)
     lanes = start_lanes(environment, scenario, action.message_size, action.memory_size)
@@ -120,7 +116,6 @@ def check_action(
 def _visited(
     name: str, action: Action, lanes: Lanes, parameters: Tensor, environment: Environment
 ) -> tuple[Lanes, Tensor]:
-    """The lanes after an action, and its outcomes; ActionError if it breaks a rule."""
     who, kept = f"action {name!r}: forward", copied(lanes)
     result = returned(ActionError, who, action, lanes, parameters, environment)
     after, outcome = expect_pair(ActionError, who, "lanes, outcomes", result)
@@ -152,7 +147,6 @@ def _expect_same(who: str, once: tuple[Lanes, Tensor], again: tuple[Lanes, Tenso
 
 
 def _parameters(name: str, action: Action) -> Tensor:
-    """The parameters of two nodes, after checking their shape."""
     who = f"action {name!r}: initial_parameters"
     for attribute in ("num_parameters", "message_size", "memory_size"):
         value = getattr(action, attribute)

@@ -81,10 +81,10 @@ class Skill:
 
 
 class SubSkill(Action):
-    """An earlier skill as a node (section IV-A); it does not change, and runs to its own end.
+    """An earlier skill as a node (section IV-A), which runs to its own end.
 
-    Its success is terminal, like that of the action that succeeded in it. If it fails or runs out
-    of its own transitions, the edge of "failure" is followed.
+    Its success is terminal. If it fails or runs out of its own transitions, the edge of "failure"
+    is followed.
     """
 
     outcomes: tuple[str, ...] = ("success", "failure")

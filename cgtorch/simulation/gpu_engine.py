@@ -1,7 +1,6 @@
-"""Algorithm 3 on a GPU: the C sources of the compiled engine as kernels (native/cuda/rollouts.h).
+"""Algorithm 3 on a GPU: the C sources of the compiled engine as kernels, with the same bits.
 
-It gives the same bits as `cgtorch.simulation.compiled` on the CPU. Sizes that are the same in all
-launches are constants of the kernels, which are compiled once for each set of sizes.
+Sizes that are the same in all launches are constants of the kernels (native/cuda/rollouts.h).
 """
 
 import ctypes

@@ -12,13 +12,10 @@ from cgtorch.ground.environment import Environment, Lanes, Rewarded, seeds_of
 class Recording:
     """Wraps an environment, with rewards or without, and records its transitions and tests.
 
-    Transitions are (key, p, u, p′) of the controls that were carried out; tests are (key, p,
-    success). `experience` sorts them by the lanes' step, then by scenario, because learning depends
-    on the order of the data, and lanes run in any order.
-
-    What is asked is paid from `purse` before it is asked, so BudgetSpentError can end a rollout. A
-    scenario that has had `most` world actions is broken off: nothing more is carried out or
-    succeeds there, and nothing more is asked.
+    `experience` sorts them by the lanes' step, then by scenario, because learning depends on the
+    order of the data. What is asked is paid from `purse` before it is asked, so BudgetSpentError
+    can end a rollout. A scenario that has had `most` world actions is broken off: nothing more is
+    carried out or succeeds there, and nothing more is asked.
     """
 
     def __init__(
@@ -30,16 +27,14 @@ class Recording:
     ):
         self.environment, self.phase, self.most = environment, phase, most
         self.purse = Purse() if purse is None else purse
-        self.transitions: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
-        self.tests: list[tuple[Tensor, Tensor, Tensor]] = []
+        self.transitions: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []  # key, p, u, p′
+        self.tests: list[tuple[Tensor, Tensor, Tensor]] = []  # key, p, success
         self.num_scenarios, self.percept_size = environment.num_scenarios, environment.percept_size
         self.control_size = environment.control_size
         self.actions = torch.zeros(self.num_scenarios, dtype=torch.long)
         self.seeds = seeds_of(environment, torch.arange(self.num_scenarios))
-        self.first, self.observe = (
-            torch.zeros(self.num_scenarios, self.percept_size),
-            environment.observe,
-        )
+        self.first = torch.zeros(self.num_scenarios, self.percept_size)
+        self.observe = environment.observe
         if isinstance(environment, Rewarded):  # of which this is then one, too
             self.over, self.returns = environment.over, environment.returns
 

@@ -40,10 +40,8 @@ def rollout(
     """Run P graphs on B scenarios of the environment.
 
     A sub-skill counts as one transition of the skill that contains it, and has its own limit
-    (`Skill.max_transitions`). `max_steps` bounds the actions that a lane executes on all levels
-    together. A lane that has ended leaves the batch. A lane that returns to a node with nothing
-    changed can only run out of transitions, so the rest of its transitions is counted but not
-    executed.
+    (`Skill.max_transitions`). A lane that returns to a node with nothing changed can only run out
+    of transitions, so the rest of its transitions is counted but not executed.
 
     Args:
         graphs: P valid graphs.
