@@ -28,15 +28,11 @@ from cgtorch.simulation.program import (
 )
 from cgtorch.simulation.torch_engine import Rollouts
 
-LARGEST = 2**30
-"""The largest number of nodes, transitions or scenarios in compiled code."""
-SIZES = ("inputs", "hidden", "delays", "outputs")
-"""The sizes of a network in an `Action` of program.h; 0 if it does not have them."""
-ROUTINES = ("STEP", "TEST", "PERCEIVE")
-"""Kinds of actions that call the environment."""
+LARGEST = 2**30  # number of nodes, transitions or scenarios
+SIZES = ("inputs", "hidden", "delays", "outputs")  # of a network, 0 if it does not have them
+ROUTINES = ("STEP", "TEST", "PERCEIVE")  # kinds of actions that call the environment
 NETWORKS = ("CONTINUOUS", "BRANCHING")
-WITH_MEMORY = ("RECURRENT", "DELAY")
-"""Networks that use a lane's memory; only resumable rollouts have one (`resumable.py`)."""
+WITH_MEMORY = ("RECURRENT", "DELAY")  # networks with a memory, as only resumable rollouts have
 
 
 @dataclass(frozen=True)
@@ -185,21 +181,13 @@ NUMBERS = ("keep", "cost", "counted", "executed", "not_finite", "wrong", "num_ch
 
 @dataclass(frozen=True)
 class CompiledEngine:
-    """Actions and models in the form of compiled code, for any graphs while they do not change.
+    """Actions and models in the form of compiled code, for any graphs while they do not change."""
 
-    Attributes:
-        actions: The action set of the graphs.
-        known: The same in the form of compiled code.
-        models: The argument of the models' compiled functions.
-        environment: A `ModelEnvironment` of models.h.
-        percept_size: D.
-    """
-
-    actions: ActionSet
-    known: CompiledActions
+    actions: ActionSet  # of the graphs
+    known: CompiledActions  # the same in the form of compiled code
     models: CompiledModels
-    environment: Any
-    percept_size: int
+    environment: Any  # a `ModelEnvironment` of models.h
+    percept_size: int  # D
 
     def rollouts(
         self, graphs: Graphs, scenarios: Tensor, max_transitions: int, max_steps: int

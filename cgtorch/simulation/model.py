@@ -23,19 +23,12 @@ Possible: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class CompiledModels:
-    """Models in the form of compiled rollouts.
+    """Models in the form of compiled rollouts."""
 
-    Attributes:
-        name: The prefix of their functions, such as in `tabletop_rollouts`.
-        dtype: The type of their numbers.
-        structure: The argument `models` of these functions (native/engine/models.h).
-        networks: Kinds of networks of their own, which read percepts of one length only.
-    """
-
-    name: str
-    dtype: torch.dtype
-    structure: Any
-    networks: tuple[str, ...] = ()
+    name: str  # the prefix of their functions, such as in `tabletop_rollouts`
+    dtype: torch.dtype  # of their numbers
+    structure: Any  # the argument `models` of these functions (native/engine/models.h)
+    networks: tuple[str, ...] = ()  # their own kinds, which read percepts of one length only
 
 
 Compile: TypeAlias = Callable[["ModelEnvironment"], CompiledModels | None]
@@ -43,8 +36,7 @@ Compile: TypeAlias = Callable[["ModelEnvironment"], CompiledModels | None]
 
 UNKNOWN = -1.0
 MOST_NOVEL = 0.75
-"""The default limit of novelty, for any domain. Γ's novelty is 0 at the data and tends to 1 away
-from them (`cgtorch.domains.transition`)."""
+"""The default limit of novelty, which is 0 at the data and tends to 1 away from them."""
 
 
 def anything(percept: Tensor, control: Tensor) -> Tensor:
@@ -83,12 +75,10 @@ class ModelEnvironment:
             control_size: U.
             errors: (B, T, D) errors that are added to Γ's predictions, by scenario and motion, so
                 that a skill is evaluated under possible errors of Γ. After T motions they repeat.
-            most_novel: A lane is lost after a motion that is more novel. With 1, no lane is ever
-                lost, however far from the data.
+            most_novel: A lane is lost after a motion that is more novel; with 1 none is ever lost.
             seeds: (B,) long, seeds of the random numbers that actions draw; 0 … B - 1 by default.
             compiled: Gives these models to compiled rollouts, if there is code for them.
-            chance: (B,) C of the first percepts, computed by default. If it is computed on the CPU,
-                it has the same last digits on every device.
+            chance: (B,) C of the first percepts, computed by default.
         """
         self.percepts, self.gamma, self.classifier = percepts, gamma, classifier
         self.possible, self.control_size, self.errors = possible, control_size, errors
@@ -117,8 +107,7 @@ class ModelEnvironment:
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """Lanes with the percepts that Γ predicts for controls (n, U), and (n,) which are possible.
 
-        Percepts stay as they were where a control is not possible. A control that is not finite,
-        such as that of a lane without a message, is never possible.
+        Percepts stay where a control is not possible. One that is not finite never is.
         """
         moved = control.isfinite().all(1) & ~self.lost(lanes)
         rows = rows_where(moved)

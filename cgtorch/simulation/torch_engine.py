@@ -46,24 +46,14 @@ class Rollouts:
 
 @dataclass(frozen=True)
 class Frames:
-    """The positions of n lanes.
+    """The positions of n lanes."""
 
-    Attributes:
-        node: (n,) long, row of the program's table.
-        level: (n,) long, the innermost open level of sub-skills.
-        caller: (n, depth) long, the sub-skill node that opened each level.
-        left: (n, depth) long, the transitions left on each level.
-        anchor: (n,) long, a node that the lane visited at most `since` transitions ago, and since
-            when nothing has changed; -1 if there is none.
-        since: (n,) long.
-    """
-
-    node: Tensor
-    level: Tensor
-    caller: Tensor
-    left: Tensor
-    anchor: Tensor
-    since: Tensor
+    node: Tensor  # (n,) long, row of the program's table
+    level: Tensor  # (n,) long, the innermost open level of sub-skills
+    caller: Tensor  # (n, depth) long, the sub-skill node that opened each level
+    left: Tensor  # (n, depth) long, the transitions left on each level
+    anchor: Tensor  # (n,) long, a node visited since when nothing has changed; -1 if there is none
+    since: Tensor  # (n,) long, at most how many transitions ago
 
     def rows(self, index: Tensor) -> "Frames":
         """The frames at `index` (k,), copied."""
@@ -160,9 +150,8 @@ def rollout_in_torch(
 ) -> Rollouts:
     """`rollout` for any actions, environment and device, with all lanes in one batch.
 
-    Before each step, lanes are sorted by their next action, so that those with the same action are
-    adjacent, and lanes that have ended leave. Their counts are all that the host reads per step, so
-    a GPU is synchronised once per step.
+    Before each step, lanes are sorted by their next action, and those that have ended leave. Their
+    counts are all that the host reads, so a GPU is synchronised once per step.
     """
     p, b = len(program.start), len(scenarios)
     sizes = program.actions.message_size, program.actions.memory_size
