@@ -24,7 +24,7 @@ ROUTINES = {"control": Step, "perceive": Perceive, "test": Test}
 
 @dataclass(frozen=True)
 class Request:
-    """What a robot should do next, or how the skill has ended.
+    """The next request to a robot, or how the skill has ended.
 
     Attributes:
         kind: "control", "perceive" or "test"; or "success", "failure" or "timeout" at the end.
@@ -74,7 +74,7 @@ class Stepper:
         self._asked: State | None = None
 
     def act(self, percept: Sequence[float] | Tensor, done: bool = True) -> Request:
-        """What to do next at a percept (D,), after the last request succeeded or failed.
+        """The next request at a percept (D,), after the last one succeeded or failed.
 
         DataError for a percept that is not a row of D finite numbers, ActionError if an action asks
         its environment for more than a robot has.
