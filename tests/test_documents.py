@@ -178,17 +178,3 @@ def test_an_own_action_in_an_evolved_skill_in_forty_lines(
     assert int(runs.succeeded.sum()) == course[-1]
     # What is reached is reached by it, but where the robot stood near enough to begin with.
     assert (runs.succeeded[0] & used).sum() > course[-1] / 2
-
-
-def test_a_program_trains_and_acts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It drives once and grasps; a percept that never changes would do for any robot."""
-    assert len(blocks(PYTHON)["door.py"].strip().splitlines()) <= 12
-    left = ran("door.py", tmp_path, monkeypatch)
-    first, *rest = capsys.readouterr().out.splitlines()
-    assert first == f"S1 {left['run'].evaluate(50, scenarios='left').successes}"
-    assert int(first.split()[1]) > 40
-    assert rest[0].startswith("control MoveBase (")
-    assert rest[-1] == "test Grasp ()"
-    assert left["request"].kind == "success"

@@ -79,6 +79,9 @@ def test_every_skill_of_the_default_is_measured(folder: Path) -> None:
     stages = [p["stage"] for p in found["points"]]
     assert stages == ["S0", "S1", "S2", "S3"][: len(stages)]
     assert (len(stages) < 4) == (found["failure"] is not None)
+    before = {p: p.stat().st_mtime_ns for p in folder.rglob("*")}
+    compare(folder, HASTY, ("stages",), 0, 20)  # which makes nothing again
+    assert {p: p.stat().st_mtime_ns for p in folder.rglob("*")} == before
 
 
 @pytest.mark.parametrize(("method", "asked"), [("paper", 0), ("paper-here", 30_000)])
@@ -104,20 +107,12 @@ def test_a_budget_needs_a_default_to_take_it_from(begun: Path) -> None:
 
 
 def test_each_method_begins_with_its_own_data(folder: Path, begin: Path) -> None:
-    explored, given = (
-        load_dataset(place / "start" / "data.safetensors")
-        for place in (folder / SEED / "begin-compose", begin)
-    )
+    places = folder / SEED / "begin-compose", begin
+    explored, given = (load_dataset(place / "start" / "data.safetensors") for place in places)
     assert len(explored.percept) <= HASTY.transitions + 1
-    assert (len(given.percept), len(given.tested)) == (100, 120)
     asked = asked_at_start(begin)["exploration"]
+    assert (len(given.percept), len(given.tested)) == (asked["motions"], asked["tests"])
     assert (asked["motions"], asked["tests"]) == (100, 120)
-
-
-def test_what_is_there_is_not_made_again(folder: Path) -> None:
-    before = {p: p.stat().st_mtime_ns for p in folder.rglob("*")}
-    compare(folder, HASTY, ("stages",), 0, 20)
-    assert {p: p.stat().st_mtime_ns for p in folder.rglob("*")} == before
 
 
 def test_the_published_settings(folder: Path) -> None:

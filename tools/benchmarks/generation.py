@@ -183,7 +183,7 @@ def _logger(work: Workload) -> Iterator[TensorBoardWatch]:
     """A run's TensorBoard files, in a folder that goes again."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        TensorBoardWatch(folder, {}, actions=work.actions, histogram_every=HISTOGRAMS_EVERY) as log,
+        TensorBoardWatch(folder, {}, actions=work.actions) as log,
     ):
         yield log
 
