@@ -1,31 +1,24 @@
 """Running the commands in this process, as a shell would."""
 
+import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
-from cgtorch.commands import evaluate as evaluate_command
-from cgtorch.commands import export as export_command
-from cgtorch.commands import report as report_command
-from cgtorch.commands import robot as robot_command
-from cgtorch.commands import train as train_command
-from cgtorch.commands import view as view_command
 from cgtorch.domains.settings import to_plain
 from cgtorch.runs.settings import RunSettings
 
-MAIN: dict[str, Callable[[], None]] = {
-    "cgtorch-train": train_command.main,
-    "cgtorch-evaluate": evaluate_command.main,
-    "cgtorch-export": export_command.main,
-    "cgtorch-report": report_command.main,
-    "cgtorch-robot": robot_command.main,
-    "cgtorch-view": view_command.main,
-}
+ROOT = Path(__file__).parents[2]
+REFERENCE = ROOT / "runs" / "reference"
+TRAIN, EVALUATE, EXPORT, REPORT, ROBOT, VIEW = (
+    f"cgtorch-{name}" for name in ("train", "evaluate", "export", "report", "robot", "view")
+)
 
 
 def as_options(settings: RunSettings) -> list[str]:
@@ -42,6 +35,11 @@ class Ended(NamedTuple):
     out: str
     err: str
 
+    @property
+    def said(self) -> str:
+        """What it said besides its results, in one line."""
+        return " ".join(self.err.split())
+
 
 class Shell:
     """Runs commands in an empty folder."""
@@ -50,17 +48,29 @@ class Shell:
         self.monkeypatch, self.capsys = monkeypatch, capsys
 
     def __call__(self, *words: object) -> Ended:
-        arguments = [str(w) for w in words]
-        self.monkeypatch.setattr(sys, "argv", arguments)
+        name = str(words[0])
+        self.monkeypatch.setattr(sys, "argv", [str(w) for w in words])
         self.monkeypatch.setattr(sys, "path", list(sys.path))
         self.capsys.readouterr()
+        code = 0
         try:
-            MAIN[arguments[0]]()
-            code = 0
+            module = name.removeprefix("cgtorch-").replace("cgtorch", "main")
+            import_module(f"cgtorch.commands.{module}").main()
         except SystemExit as e:
             code = int(e.code or 0)
-        captured = self.capsys.readouterr()
-        return Ended(code, captured.out, captured.err)
+        return Ended(code, *self.capsys.readouterr())
+
+    def does(self, *words: object) -> Ended:
+        """How a command ends that does what it should."""
+        ended = self(*words)
+        assert ended.code == 0, ended
+        return ended
+
+    def told(self, *words: object) -> Any:
+        """What a command prints as JSON, and nothing else."""
+        ended = self.does(*words, "--json")
+        assert ended.err == ""
+        return json.loads(ended.out)
 
     def refuses(self, *words: object) -> str:
         """The one line that a command with bad input ends in."""
@@ -76,6 +86,19 @@ class Shell:
 def listing(folder: Path) -> set[str]:
     """Everything in a folder, hidden files too."""
     return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+def about(run: Path) -> dict[str, Any]:
+    """What a run's file says."""
+    found: dict[str, Any] = json.loads((run / "run.json").read_text())
+    return found
+
+
+def edited(run: Path, settings: Mapping[str, Any] | None = None, **values: Any) -> None:
+    """Give a run's file other values, and other settings."""
+    data = about(run)
+    data["settings"] |= settings or {}
+    (run / "run.json").write_text(json.dumps(data | values))
 
 
 def in_a_shell(

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import torch
-from command_line import Shell, as_options
+from command_line import TRAIN, Shell, as_options
 from support import create_run
 from told_by_runs import logged, result_of
 from torch import Tensor
@@ -16,7 +16,6 @@ from cgtorch.runs.stored_run import read_run
 from cgtorch.simulation import Recording
 from cgtorch.tabletop.settings import TabletopSettings
 
-TRAIN = "cgtorch-train"
 OPTIONS = [*as_options(SMALL), "--noise=fresh", "--attempts=12"]
 
 
@@ -46,8 +45,7 @@ def test_rounds_end_with_a_skill_that_has_met_each_placement_once(
 ) -> None:
     met = Met(monkeypatch)
     words = ["--stage", "auto", "--rounds", 1, "--run-dir", "run", *OPTIONS]
-    ended = shell(TRAIN, *words)
-    assert ended.code == 0, ended.err
+    ended = shell.does(TRAIN, *words)
     assert len(met.places) == len(set(met.places))
     result, run = result_of(tmp_path / "run", "auto-1"), read_run(tmp_path / "run")
     assert [result[name] for name in ("fresh", "overall", "decisive")] == [None] * 3
@@ -79,8 +77,7 @@ def test_a_stage_tries_its_tests_once_and_goes_on(
     shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     met = Met(monkeypatch)
-    ended = shell(TRAIN, "--stage", "S0", "--run-dir", "run", *OPTIONS)
-    assert ended.code == 0, ended.err
+    shell.does(TRAIN, "--stage", "S0", "--run-dir", "run", *OPTIONS)
     run = read_run(tmp_path / "run")
     assert not run.repeats
     tests = run.domain.tests("near")

@@ -10,16 +10,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from command_line import Ended, as_options, in_a_shell
+from command_line import EVALUATE, ROOT, TRAIN, Ended, about, as_options, in_a_shell
 from told_by_runs import result_of
 from trained import SMALL
 
 from cgtorch.tabletop.actions import paper_actions
 
-HERE = Path(__file__).parent.parent
-SOURCE = HERE / "plugin_package"
+SOURCE = ROOT / "tests" / "plugin_package"
 NAMES = ("Approach", "Wander")
-OPTIONS = as_options(SMALL)
+NAMED = [word for name in NAMES for word in ("--actions", name)]
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +45,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def run(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ended]:
     """A small run with both actions, and how its command ended."""
     folder = tmp_path_factory.mktemp("run")
-    words = ["--stage", "S0", "--run-dir", "run", *OPTIONS]
-    named = [word for name in NAMES for word in ("--actions", name)]
-    return folder / "run", in_a_shell("cgtorch-train", *words, *named, folder=folder)
+    words = ["--stage", "S0", "--run-dir", "run", *as_options(SMALL), *NAMED]
+    return folder / "run", in_a_shell(TRAIN, *words, folder=folder)
 
 
 def test_it_holds_what_the_document_says() -> None:
-    text = (HERE.parent / "docs" / "own-action.md").read_text()
+    text = (ROOT / "docs" / "own-action.md").read_text()
     for name in NAMES:
         code = (SOURCE / "src" / "reaching_actions" / f"{name.lower()}.py").read_text()
         (said,) = re.findall(rf"^```python\n# {name.lower()}\.py\n(.*?)^```", text, re.M | re.S)
@@ -75,11 +73,13 @@ def test_it_is_found_by_name(installed: Path) -> None:
     assert module == "reaching_actions.approach"
 
 
-def test_a_run_is_trained_with_it_and_tried_again(run: tuple[Path, Ended]) -> None:
+def test_a_run_is_trained_with_it_and_tried_again(
+    run: tuple[Path, Ended], installed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It is said which of its actions the skill uses, and it is read again without naming them."""
     folder, ended = run
     assert ended.code == 0, ended.err
-    assert json.loads((folder / "run.json").read_text())["settings"]["actions"] == list(NAMES)
+    assert about(folder)["settings"]["actions"] == list(NAMES)
     skill = json.loads((folder / "S0" / "skill.json").read_text())
     every = [skill, *skill["skills"].values()]
     used = {n["action"] for one in every for n in one["nodes"]}
@@ -88,24 +88,18 @@ def test_a_run_is_trained_with_it_and_tried_again(run: tuple[Path, Ended]) -> No
         assert [line in ended.err for line in uses] == [name in used, name not in used]
     result = result_of(folder, "S0")
     words = ["--scenarios", "near", "--count", "40", "--seed", "5", "--json"]
-    tried = in_a_shell("cgtorch-evaluate", str(folder), *words)
+    tried = in_a_shell(EVALUATE, str(folder), *words)
     assert tried.code == 0, tried.err
     found = json.loads(tried.out)
     assert (found["skill"], found["tried"]) == ("S0", 40)
     assert found["succeeded"] > 20
     assert result["targets_succeeded"] > 2
-    named = [word for name in NAMES for word in ("--actions", name)]
-    lone = in_a_shell("cgtorch-evaluate", str(folder / "S0" / "skill.json"), *words, *named)
+    lone = in_a_shell(EVALUATE, str(folder / "S0" / "skill.json"), *words, *NAMED)
     assert lone.code == 0, lone.err
     assert json.loads(lone.out)["succeeded"] == found["succeeded"]
-
-
-def test_without_the_package_the_run_says_what_it_lacks(
-    run: tuple[Path, Ended], installed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     known = os.environ["PYTHONPATH"].removeprefix(str(installed)).lstrip(os.pathsep)
     monkeypatch.setenv("PYTHONPATH", known)
-    ended = in_a_shell("cgtorch-evaluate", str(run[0]))
-    assert ended.code == 2
-    assert "unknown action 'Approach'; known are" in ended.err
-    assert "Traceback" not in ended.err
+    without = in_a_shell(EVALUATE, str(folder))
+    assert without.code == 2
+    assert "unknown action 'Approach'; known are" in without.err
+    assert "Traceback" not in without.err

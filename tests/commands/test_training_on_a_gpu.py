@@ -5,17 +5,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from click.testing import CliRunner
-from command_line import as_options
+from command_line import TRAIN, Shell, edited
 from emulated_gpu import EmulatedGpu, OnGpu
 from pretended_gpu import pretended_gpu
 from rich.console import Console
 from safetensors.torch import load_file
 from support import custom_actions
 from told_by_runs import result_of
-from trained import SMALL
+from trained import Trained, copied
 
-from cgtorch.commands.train import command
 from cgtorch.graphs import RecurrentNN
 from cgtorch.native import gpu as native_gpu
 from cgtorch.report import ProgressDisplay
@@ -25,16 +23,19 @@ from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.session import fastest_device
 
-OPTIONS = as_options(replace(SMALL, practice=0, generations=8, attempts=1))
+
+def quick(trained: Trained, folder: Path) -> Path:
+    """A run that has its first models, and ends its stages soon."""
+    edited(copied(trained, folder, ()), {"practice": 0, "generations": 4, "attempts": 1})
+    return folder
 
 
-def test_a_skill_is_evolved_there(tmp_path: Path) -> None:
-    where = ["--stage", "S0", "--run-dir", str(tmp_path / "run"), "--device", "cuda", "--quiet"]
+def test_a_skill_is_evolved_there(shell: Shell, trained: Trained, tmp_path: Path) -> None:
+    run = quick(trained, tmp_path / "run")
     with pretended_gpu() as gpu:
-        ended = CliRunner().invoke(command, [*where, *OPTIONS])
-    assert ended.exit_code == 0, ended.output
-    assert gpu.waits["rollout.py: _grouped"] > 20  # rollouts were there
-    stage = result_of(tmp_path / "run", "S0")
+        shell.does(TRAIN, "--resume", run, "--stage", "S0", "--device", "cuda", "--quiet")
+    assert gpu.waits["rollout.py: _grouped"] > 10  # rollouts were there
+    stage = result_of(run, "S0")
     assert stage["generations"] > 0
     assert stage["transitions"] > 0
 
@@ -72,19 +73,17 @@ def test_the_fastest_device_is_taken_and_said_where_there_is_a_gpu(
     assert capsys.readouterr().err.startswith(says)
 
 
-def test_a_run_may_go_on_on_another_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_may_go_on_on_another_device(
+    shell: Shell, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One stage on what stands in for a GPU, one on the CPU: as on the CPU alone."""
-    wanted, found = tmp_path / "wanted", tmp_path / "found"
-    about = [*OPTIONS, "--checkpoint-seconds", "0", "--quiet"]
-    begin = CliRunner().invoke(command, ["--stage", "S1", "--run-dir", str(wanted), *about])
-    assert begin.exit_code == 0, begin.output
+    wanted, found = (quick(trained, tmp_path / name) for name in ("wanted", "found"))
+    shell.does(TRAIN, "--resume", wanted, "--stage", "S1", "--quiet")
     monkeypatch.setattr(native_gpu, "gpu_of", lambda device: OnGpu())
+    words = [TRAIN, "--resume", found, "--checkpoint-seconds", 0, "--quiet"]
     with pretended_gpu():
-        there = ["--stage", "S0", "--run-dir", str(found), "--device", "cuda", *about]
-        first = CliRunner().invoke(command, there)
-    assert first.exit_code == 0, first.output
-    on = CliRunner().invoke(command, ["--resume", str(found), "--stage", "S1", "--quiet"])
-    assert on.exit_code == 0, on.output
+        shell.does(*words, "--stage", "S0", "--device", "cuda")
+    shell.does(*words, "--stage", "S1")
     for stage in ("S0", "S1"):
         names = sorted(p.name for p in (wanted / stage).glob("*.safetensors"))
         assert names

@@ -1,25 +1,13 @@
-"""`cgtorch-view`: bad input. What it shows is tried in `tests/browser` and `tests/viewer`."""
+"""`cgtorch-view`: bad input. What it shows is tried in `tests/browser` and `tests/tabletop`."""
 
 import re
 import signal
 import subprocess
 import sys
 import urllib.request
-from pathlib import Path
 
 import pytest
-from command_line import Shell
-
-VIEW = "cgtorch-view"
-REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
-
-
-def test_help_has_examples(shell: Shell) -> None:
-    ended = shell(VIEW, "--help")
-    assert (ended.code, ended.err) == (0, "")
-    assert "Examples:" in ended.out
-    assert "--against RUN_OR_SKILL" in ended.out
-    assert "[default: 127.0.0.1]" in ended.out
+from command_line import REFERENCE, VIEW, Shell
 
 
 @pytest.mark.parametrize(
@@ -36,6 +24,8 @@ def test_help_has_examples(shell: Shell) -> None:
         ([REFERENCE, "--port", "65536"], "65536 is not in the range 0<=x<=65535"),
         ([REFERENCE, "--count", "0"], "0 is not in the range 1<=x<=10000"),
         ([REFERENCE, "--seed", "-1"], "-1 is not in the range"),
+        ([REFERENCE, "--world", "moon"], "world is 'moon'; use one of kin"),
+        ([REFERENCE, "--film", "skill.mp4"], "give a name that ends in .gif or"),
     ],
 )
 def test_bad_input(shell: Shell, words: list[str], message: str) -> None:
@@ -50,17 +40,14 @@ def test_without_viser_it_says_what_to_install(
     assert "pip install 'cgtorch[view]'" in shell.refuses(VIEW, REFERENCE)
 
 
-def heed_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 def test_it_serves_on_loopback_until_it_is_told_to_end() -> None:
     words = [sys.executable, "-u", "-m", "cgtorch.commands.view", str(REFERENCE), "--port", "0"]
     pipe = subprocess.PIPE
     # Where the tests run in the background of a script, Ctrl-C would be ignored.
     with subprocess.Popen(
-        words, stdout=pipe, stderr=pipe, text=True, preexec_fn=heed_interrupts
-    ) as view:
+        words, stdout=pipe, stderr=pipe, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as view:  # fmt: skip
         assert view.stdout is not None
         assert view.stderr is not None
         line = view.stdout.readline()

@@ -1,12 +1,18 @@
 """Making a robot folder from a URDF: read, fit shapes, propose, try, draw and write."""
 
 import dataclasses
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from lxml import etree
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from scipy.spatial import ConvexHull, QhullError
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import whole_folder, write_bytes, write_json
@@ -14,16 +20,28 @@ from cgtorch.tabletop.kinematics import Robot, graspable, load_robot
 from cgtorch.tabletop.kinematics.description import DESCRIPTION, RobotDescription
 from cgtorch.tabletop.kinematics.fitted import MeshFit, without_meshes
 from cgtorch.tabletop.kinematics.meshes import package_places
-from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf, read_urdf
-from cgtorch.tabletop.robot_folder.inertials import sound_inertials
-from cgtorch.tabletop.robot_folder.picture import robot_picture
+from cgtorch.tabletop.kinematics.urdf import (
+    MOVING,
+    Urdf,
+    checked_urdf,
+    inertial_problem,
+    read_urdf,
+)
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
-from cgtorch.tabletop.robot_folder.structure import Array
+from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 URDF, PICTURE, SHAPES = "robot.urdf", "robot.png", "shapes.json"
 TABLE = (0.8, 1.6, 0.75)  # m: depth, width and height of the table on which a robot is tried
 AHEAD = 0.05  # m from the footprint to that table
 DEPTHS, ASIDE = (0.1, 0.2, 0.3), (-0.3, 0.0, 0.3)  # m: where objects are on it
+DENSITY = 500.0  # kg/m³ of a link's box whose mass is not known
+LIGHT = 0.01  # minimum mass of a moving link, kg
+SMALL = 0.03  # m: sides of the box of a link without shapes
+UNBALANCED = 1.01  # of one moment of inertia to the sum of the two others
+VIEWS = (("from the right", 0, 2), ("from the front", 1, 2), ("from above", 0, 1))
+"""The views, and which of x, y and z go to the right and up."""
+REST, BODY, ARMS = "#b0b7bf", "#4a5a6a", ("#d95f02", "#1b9e77", "#7570b3", "#e7298a")
+AXIS = 0.12  # m: how long the axes of a tool frame are drawn
 
 
 @dataclass(frozen=True)
@@ -62,17 +80,21 @@ def make_robot_folder(
         words = proposal.words
         try:
             robot = _loaded(place, words)
-            home = words.home or {
-                name: round(float(position), 4)
-                for arm, q in zip(robot.arms, robot.home, strict=True)
-                for name, position in zip(arm.joint_names, q, strict=True)
-            }
+            home = words.home or {name: round(at, 4) for name, at in _at_home(robot).items()}
             robot = _loaded(place, dataclasses.replace(words, home=home))
         except RobotError as error:
             raise RobotError(str(error).replace(str(place), str(folder))) from None
         write_json(place / SHAPES, [_record(each) for each in meshes])
         write_bytes(place / PICTURE, robot_picture(robot))
     return Made(robot, meshes, inertials, proposal.notes, _tried(robot))
+
+
+def _at_home(robot: Robot) -> dict[str, float]:
+    """The positions of the arms' joints while the robot drives, rad or m."""
+    found: dict[str, float] = {}
+    for arm, q in zip(robot.arms, robot.home, strict=True):
+        found |= dict(zip(arm.joint_names, q.tolist(), strict=True))
+    return found
 
 
 def _loaded(place: Path, words: RobotDescription) -> Robot:
@@ -104,21 +126,15 @@ def _corners(urdf: Urdf, meshes: tuple[MeshFit, ...]) -> dict[str, list[Array]]:
 
 def _record(each: MeshFit) -> dict[str, Any]:
     """The shapes fitted to a mesh, for its file."""
-    about = {"link": each.link, "file": each.file, "kind": each.kind}
-    if each.fit is None:
+    about, fit = {"link": each.link, "file": each.file, "kind": each.kind}, each.fit
+    if fit is None:
         return {**about, "problem": each.problem}
     shapes = [
         {"kind": s.kind, "pose": (each.pose @ s.pose).tolist(), "sizes": list(s.sizes)}
-        for s in each.fit.shapes
+        for s in fit.shapes
     ]
-    volume = sum(shape.volume for shape in each.fit.shapes)
-    return {
-        **about,
-        "shapes": shapes,
-        "volume": volume,
-        "convex_hull_volume": each.fit.hull_volume,
-        "ratio": each.fit.ratio,
-    }
+    volumes = {"volume": sum(s.volume for s in fit.shapes), "convex_hull_volume": fit.hull_volume}
+    return {**about, "shapes": shapes, **volumes, "ratio": fit.ratio}
 
 
 def _tried(robot: Robot) -> torch.Tensor:
@@ -128,3 +144,107 @@ def _tried(robot: Robot) -> torch.Tensor:
     objects = torch.tensor([[edge + x, y, height] for x in DEPTHS for y in ASIDE])
     table = torch.tensor([edge + depth / 2, 0.0, 0.0, depth, width, height]).expand(len(objects), 6)
     return graspable(robot, objects, table)
+
+
+def sound_inertials(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
+    """A URDF, without meshes, whose moving links have possible masses and inertias.
+
+    An impossible one, or one that is missing where a joint moves a link and all that is fixed to
+    it, becomes that of the box around the link's shapes, with the given mass if there is one. Also
+    returned are the names of these links.
+    """
+    structure = Structure(urdf, urdf.model.base_link)
+    massless = {
+        joint.child
+        for joint in urdf.model.robot.joints
+        if joint.type in MOVING
+        and not any(_mass(structure, n) for n in structure.rigid(joint.child))
+    }
+    links = urdf.model.robot.links
+    odd = (link for link in links if inertial_problem(link) or _unbalanced(link))
+    unsound = {*massless, *(link.name for link in odd)}
+    if not unsound:
+        return urdf, ()
+    names = [link.name for link in links if link.name in unsound]
+    root = etree.fromstring(urdf.xml)
+    elements = {element.get("name"): element for element in root.findall("link")}
+    for name in names:
+        for old in elements[name].findall("inertial"):
+            elements[name].remove(old)
+        elements[name].append(_inertial_of_box(structure, name))
+    return checked_urdf(urdf.path, root), tuple(names)
+
+
+def _mass(structure: Structure, link: str) -> float:
+    inertial = structure.urdf.link(link).inertial
+    return 0.0 if inertial is None or inertial.mass is None else float(inertial.mass)
+
+
+def _unbalanced(link: Any) -> bool:
+    """Whether one moment is more than the sum of the others, which is impossible."""
+    if link.inertial is None or link.inertial.inertia is None:
+        return False
+    low, middle, high = np.linalg.eigvalsh(link.inertial.inertia)
+    return bool(high > UNBALANCED * (low + middle))
+
+
+def _inertial_of_box(structure: Structure, link: str) -> Any:
+    points = structure.points(link, link)
+    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3),) * 2
+    sides = np.maximum(high - low, SMALL)
+    mass = _mass(structure, link)
+    mass = mass if mass > 0 else max(LIGHT, DENSITY * float(sides.prod()))
+    squares = sides**2
+    moments = mass / 12 * (squares.sum() - squares)
+    element = etree.Element("inertial")
+    xyz = " ".join(repr(round(float(x), 9)) for x in (low + high) / 2)
+    etree.SubElement(element, "origin", xyz=xyz, rpy="0 0 0")
+    etree.SubElement(element, "mass", value=repr(mass))
+    zero = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    named = zip(("ixx", "iyy", "izz"), moments, strict=True)
+    etree.SubElement(element, "inertia", {n: repr(float(x)) for n, x in named} | zero)
+    return element
+
+
+def robot_picture(robot: Robot) -> bytes:
+    """A PNG of a robot at home, from three sides.
+
+    Grey is what nothing is asked of, dark what an arm must not touch, coloured the arms; the dashed
+    rectangle is the footprint, and arrows are the tool frames: x red, y green, z blue.
+    """
+    words, structure = robot.description, Structure(robot.urdf, robot.description.base_frame)
+    robot.urdf.model.update_cfg(_at_home(robot))
+    colours = dict.fromkeys(structure.hanging(structure.base), REST)
+    colours.update(dict.fromkeys(words.body, BODY))
+    for i, arm in enumerate(robot.arms):
+        first = robot.urdf.joint(arm.joint_names[0]).child
+        colours.update(dict.fromkeys(structure.hanging(first), ARMS[i % len(ARMS)]))
+    outline = np.array(words.footprint)
+    corners = outline[[0, 1, 1, 0, 0]], outline[[2, 2, 3, 3, 2]], np.zeros(5)
+    figure = Figure(figsize=(15, 6), layout="constrained")
+    for axes, (view, right, up) in zip(figure.subplots(1, 3), VIEWS, strict=True):
+        for name, colour in colours.items():
+            for points in structure.shapes(name):
+                _fill(axes, points[:, [right, up]], colour)
+        axes.plot(corners[right], corners[up], "k--", linewidth=1)
+        for tool in (arm.tool_frame for arm in words.arms):
+            pose = structure.pose(tool)
+            for axis, colour in enumerate(("red", "green", "blue")):
+                line = np.stack([pose[:3, 3], pose[:3, 3] + AXIS * pose[:3, axis]])
+                axes.plot(line[:, right], line[:, up], color=colour, linewidth=2)
+        axes.set(aspect="equal", title=view)
+        axes.set(xlabel=f"{'xyz'[right]} [m]", ylabel=f"{'xyz'[up]} [m]")
+        axes.grid(alpha=0.3)
+    figure.suptitle(words.name)
+    robot.urdf.model.update_cfg(words.held)
+    file = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(file)
+    return file.getvalue()
+
+
+def _fill(axes: Any, points: np.ndarray, colour: str) -> None:
+    try:
+        outline = points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
+        return
+    axes.fill(*outline.T, facecolor=colour, edgecolor=colour, alpha=0.35, linewidth=1)

@@ -13,8 +13,14 @@ from trimesh import transformations
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf
-from cgtorch.tabletop.robot_folder.hands import Tool, open_fingers, tool_of
-from cgtorch.tabletop.robot_folder.structure import LEAST_JOINTS, Array, Structure
+from cgtorch.tabletop.robot_folder.structure import (
+    LEAST_JOINTS,
+    Array,
+    Structure,
+    Tool,
+    open_fingers,
+    tool_of,
+)
 
 FLOOR_LINK = "base_footprint"
 PLACES = ("world", "map", "odom")

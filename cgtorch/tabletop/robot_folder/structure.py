@@ -1,5 +1,6 @@
-"""The structure of a robot: rigid bodies connected by joints, and the chains that end in hands."""
+"""A robot's rigid bodies, connected by joints, and its hands: fingers and the tool frame."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +17,11 @@ Array = NDArray[np.float64]
 LEAST_JOINTS = 5  # of a chain from the base to a hand
 ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
 _AROUND = 16  # points on a circle
+MOST_TRIED = 5  # finger joints of which every combination is tried
+FROM_TIP = 0.02  # m from the finger tips to the middle of an object
+NEAR_TIP = (-0.06, 0.005)  # m along the approach, where a frame that is there may be
+ASIDE = 0.015  # m across it
+ALONG, ACROSS = 0.95, 0.9  # cosines by which axes of a frame that is there may differ
 
 
 @dataclass(frozen=True)
@@ -125,3 +131,121 @@ def _outline(geometry: Any) -> Array:
         return np.concatenate([ring - end, ring + end])
     rings = [circle[:, order] for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0])]
     return geometry.sphere.radius * np.concatenate(rings)
+
+
+@dataclass(frozen=True)
+class Tool:
+    """The tool frame of an arm.
+
+    Attributes:
+        link: The link of the URDF that is this frame, or None if it has to be added.
+        parent: The link that carries it.
+        pose: (4, 4) in that link's frame: x along the approach, y across the fingers.
+        fingers: Whether there are fingers; without them, the direction of the last joint is used.
+    """
+
+    link: str | None
+    parent: str
+    pose: Array
+    fingers: bool
+
+
+def open_fingers(structure: Structure, hand: str) -> dict[str, float]:
+    """Positions of a hand's joints, each at a limit, with its fingers farthest apart."""
+    joints = [structure.above[link] for link in structure.hanging(hand)[1:]]
+    joints = [j for j in joints if j.type in ("revolute", "prismatic") and j.mimic is None]
+    names = [joint.name for joint in joints]
+    ends = [(float(joint.limit.lower), float(joint.limit.upper)) for joint in joints]
+    every = itertools.product(*ends) if len(names) <= MOST_TRIED else zip(*ends, strict=True)
+    best, widest = dict.fromkeys(names, 0.0), -1.0
+    for positions in every:
+        tried = dict(zip(names, positions, strict=True))
+        structure.urdf.model.update_cfg(tried)
+        opening = _opening(structure, hand)
+        if opening > widest + 1e-6:
+            best, widest = tried, opening
+    structure.urdf.model.update_cfg(best)
+    return best
+
+
+def _branches(structure: Structure, hand: str) -> list[Array]:
+    """The points of each finger in the hand's frame."""
+    found = []
+    for joint in structure.moved(hand):
+        links = structure.hanging(joint.child)
+        points = np.concatenate([structure.points(link, hand) for link in links])
+        found.extend([points] if len(points) else [])
+    return found
+
+
+def _opening(structure: Structure, hand: str) -> float:
+    """The distance of the two fingers that are farthest apart at their tips, m."""
+    tips = []
+    for points in _branches(structure, hand):
+        away = np.linalg.norm(points, axis=1)
+        tips.append(points[away >= np.quantile(away, 0.75)].mean(axis=0))
+    pairs = itertools.combinations(tips, 2)
+    return max((float(np.linalg.norm(a - b)) for a, b in pairs), default=0.0)
+
+
+def tool_of(structure: Structure, hand: str) -> Tool:
+    """The tool frame of a hand with open fingers: between their tips.
+
+    x is the axis of the last joint if it leads to the fingers, else the best axis of the hand's
+    frame; y leads from one finger to another. A link of the URDF with nearly this frame is used.
+    """
+    fingers = _branches(structure, hand)
+    body = [structure.points(link, hand) for link in structure.rigid(hand)]
+    points = np.concatenate([np.zeros((0, 3)), *(fingers or body)])
+    points = points if len(points) else np.zeros((1, 3))
+    x = _approach(structure, hand, points.mean(axis=0))
+    centres = [finger.mean(axis=0) for finger in fingers]
+    pairs = itertools.combinations(centres, 2)
+    pair = max(pairs, default=None, key=lambda pair: float(np.linalg.norm(pair[0] - pair[1])))
+    one, other = (np.zeros(3), np.zeros(3)) if pair is None else pair
+    y, middle = _across(x, one - other), (one + other) / 2
+    tip = float((points @ x).max())
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([x, y, np.cross(x, y)], axis=1)
+    pose[:3, 3] = middle + x * (tip - FROM_TIP * bool(fingers) - middle @ x)
+    for link in sorted(structure.rigid(hand), key=lambda link: _away(structure, hand, link, pose)):
+        own = np.asarray(structure.urdf.model.get_transform(link, hand))
+        shift = own[:3, 3] - pose[:3, 3]
+        along = float(shift @ x) - FROM_TIP * bool(fingers)
+        aside = float(np.linalg.norm(shift - (shift @ x) * x))
+        straight = own[:3, 0] @ x > ALONG and (pair is None or abs(own[:3, 1] @ y) > ACROSS)
+        if straight and aside < ASIDE and NEAR_TIP[0] <= along <= NEAR_TIP[1]:
+            return Tool(link, hand, own, bool(fingers))
+    return Tool(None, hand, pose, bool(fingers))
+
+
+def _away(structure: Structure, hand: str, link: str, pose: Array) -> tuple[bool, float]:
+    """The order in which links are preferred as tool frame: by name, then by distance."""
+    usual = any(word in link for word in ("tool", "grasp", "tcp", "gripper"))
+    own = np.asarray(structure.urdf.model.get_transform(link, hand))
+    return not usual, float(np.linalg.norm(own[:3, 3] - pose[:3, 3]))
+
+
+def _approach(structure: Structure, hand: str, toward: Array) -> Array:
+    joint = structure.path(hand)[-1]
+    turned = np.asarray(structure.urdf.model.get_transform(joint.child, hand))
+    axis = turned[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
+    way = toward - turned[:3, 3]
+    length = float(np.linalg.norm(way))
+    if length < 1e-6:
+        return axis
+    if abs(float(axis @ way)) > 0.8 * length:
+        return axis * math.copysign(1.0, float(axis @ way))
+    own = np.eye(3)[int(np.abs(way).argmax())]
+    return own * math.copysign(1.0, float(own @ way))
+
+
+def _across(x: Array, wanted: Array) -> Array:
+    """The unit vector perpendicular to x that is nearest to another, or any."""
+    y = wanted - (wanted @ x) * x
+    if np.linalg.norm(y) < 1e-6:
+        other = np.eye(3)[int(np.abs(x).argmin())]
+        y = np.cross(x, other)
+    y = y / np.linalg.norm(y)
+    best = np.eye(3)[int(np.abs(y).argmax())]
+    return best * np.sign(best @ y) if abs(best @ x) < 1e-6 and abs(best @ y) > ACROSS else y

@@ -66,7 +66,7 @@ def test_a_run_carries_the_robot_without_the_meshes(urdf, tmp_path, monkeypatch)
     domain.files(domain).write(tmp_path / "run")
     monkeypatch.delenv("ROS_PACKAGE_PATH")
     shutil.rmtree(tmp_path / "ws")
-    again = Tabletop.read(settings, tmp_path / "run").robot
+    again = Tabletop.files.read(Tabletop, settings, tmp_path / "run").robot
     assert again.meshes == ()
     for name in ("pose", "size", "frame"):
         mine, other = (getattr(r.arms[0].solids, name) for r in (domain.robot, again))
