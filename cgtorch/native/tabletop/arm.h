@@ -77,7 +77,6 @@ typedef struct {
   const real *branches, *pans;          /* (S, 3), (P,) angles that are tried */
   int64_t count, samples;               /* S, P */
   double upper_arm, forearm;
-  double least, most;                   /* cosines of the elbow that the limits allow */
 } ClosedForm;
 
 static inline void wrist_of(const ClosedForm *form, const real *tool, real *wrist) {

@@ -18,29 +18,23 @@ typedef struct {
   unsigned char *free;
 } Rows;
 
-static void some_transitions(void *what, int64_t begin, int64_t end) {
+static void some_percepts(void *what, int64_t begin, int64_t end) {
   const Rows *r = what;
   int size = r->layout.size;
   vec p[MOST_PERCEPT], u[3], after[MOST_PERCEPT], novelty;
   for (int64_t i = begin; i < end; i += WIDTH) {
     int64_t rows = end - i < WIDTH ? end - i : WIDTH;
+    uint32_t bits = (1u << rows) - 1;
     into_columns(r->percept + i * size, rows, size, size, p);
-    into_columns(r->motion + i * 3, rows, 3, 3, u);
-    gamma_vec(r->gamma, r->layout, p, u, (1u << rows) - 1, after, &novelty);
-    into_rows(after, rows, size, r->out + i * size);
-    into_rows(&novelty, rows, 1, r->novelty + i);
-  }
-}
-
-static void some_successes(void *what, int64_t begin, int64_t end) {
-  const Rows *r = what;
-  int size = r->layout.size;
-  vec p[MOST_PERCEPT], chance;
-  for (int64_t i = begin; i < end; i += WIDTH) {
-    int64_t rows = end - i < WIDTH ? end - i : WIDTH;
-    into_columns(r->percept + i * size, rows, size, size, p);
-    chance = success_vec(r->classifier, r->layout, p, (1u << rows) - 1);
-    into_rows(&chance, rows, 1, r->out + i);
+    if (r->gamma) {
+      into_columns(r->motion + i * 3, rows, 3, 3, u);
+      gamma_vec(r->gamma, r->layout, p, u, bits, after, &novelty);
+      into_rows(after, rows, size, r->out + i * size);
+      into_rows(&novelty, rows, 1, r->novelty + i);
+    } else {
+      vec chance = success_vec(r->classifier, r->layout, p, bits);
+      into_rows(&chance, rows, 1, r->out + i);
+    }
   }
 }
 
@@ -66,7 +60,7 @@ int transitions(const Gamma *gamma, int64_t size, const real *percept, const rea
                 real *after, real *novelty, int64_t threads) {
   Rows rows = {.gamma = gamma, .layout = layout_of(size), .percept = percept, .motion = motion,
                .out = after, .novelty = novelty};
-  in_parallel(some_transitions, &rows, n, 256, threads);
+  in_parallel(some_percepts, &rows, n, 256, threads);
   return DONE;
 }
 
@@ -74,7 +68,7 @@ int transitions(const Gamma *gamma, int64_t size, const real *percept, const rea
 int successes(const Classifier *classifier, int64_t size, const real *percept, int64_t n, real *out,
               int64_t threads) {
   Rows rows = {.classifier = classifier, .layout = layout_of(size), .percept = percept, .out = out};
-  in_parallel(some_successes, &rows, n, 256, threads);
+  in_parallel(some_percepts, &rows, n, 256, threads);
   return DONE;
 }
 

@@ -45,7 +45,6 @@ class SphericalArm(Tensors):
         lower, upper: (7,) limits, rad.
         branches: (S, 3) signs of the sine of the elbow, the cosine of the shoulder roll and the
             sine of the wrist flex that the limits allow.
-        elbow_cosines: The least and the greatest cosine of the elbow that the limits allow.
     """
 
     base: Tensor
@@ -57,7 +56,6 @@ class SphericalArm(Tensors):
     lower: Tensor
     upper: Tensor
     branches: Tensor
-    elbow_cosines: tuple[float, float]
 
 
 def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | None:
@@ -98,7 +96,6 @@ def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | Non
     to_wrist[:3, 3] = straight[4]
     turns = torch.tensor(signs, dtype=torch.float64)
     ends = (limits.double() * turns[:, None]).sort(dim=1).values
-    least, most = _cosines(*ends[3].tolist())
     return SphericalArm(
         base=base,
         shoulder=shoulder[:3, 3],
@@ -109,7 +106,6 @@ def spherical_arm(joints: tuple[Any, ...], limits: Tensor) -> SphericalArm | Non
         lower=ends[:, 0],
         upper=ends[:, 1],
         branches=_branches([(float(a), float(b)) for a, b in ends]),
-        elbow_cosines=(least - _TOLERANCE, most + _TOLERANCE),
     )
 
 
@@ -145,12 +141,11 @@ def pan_grid(arm: SphericalArm, samples: int) -> Tensor:
 
 def form_structure(form: SphericalArm, mount: Tensor, samples: int = PAN_SAMPLES) -> Any:
     """A closed form, on an arm mounted at a pose (4, 4), for compiled code."""
-    (least, most), pans = form.elbow_cosines, pan_grid(form, samples)
     return required(mount.dtype).structures["ClosedForm"](
         before=torch.linalg.inv(mount @ form.base), after=torch.linalg.inv(form.tool),
         shoulder=form.shoulder, signs=form.signs, lower=form.lower, upper=form.upper,
-        branches=form.branches, pans=pans, count=len(form.branches), samples=samples,
-        upper_arm=form.upper_arm, forearm=form.forearm, least=least, most=most,
+        branches=form.branches, pans=pan_grid(form, samples), count=len(form.branches),
+        samples=samples, upper_arm=form.upper_arm, forearm=form.forearm,
     )  # fmt: skip
 
 

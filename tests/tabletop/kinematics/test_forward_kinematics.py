@@ -7,7 +7,7 @@ from support import tool_pose
 
 def test_tool_frames_agree_with_yourdfpy(robot_and_arm, random_joints, generator):
     robot, arm = robot_and_arm
-    q = random_joints(arm, 1000, generator)
+    q = random_joints(arm, 200, generator)
     pose = tool_pose(arm, q)
     model, words = robot.urdf.model, robot.description
     (tool,) = (a.tool_frame for a in words.arms if a.name == arm.name)
