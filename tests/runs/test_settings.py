@@ -74,7 +74,7 @@ def test_counts(name: str) -> None:
 def test_no_exploration_without_data() -> None:
     assert refused(RunSettings, transitions=0) == (
         "transitions is 0, and there is nothing else to learn Γ and C from; give at least 12, or "
-        "files of logged transitions with --data"
+        "files of logged transitions as data (--data)"
     )
     assert RunSettings(transitions=0, data=("log.csv",)).transitions == 0
     for bad in (1, 11, -1, 0.0, False):
