@@ -14,7 +14,6 @@ import socketserver
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,15 +75,16 @@ class StandIn(RobotDriver):
         return json.loads(answer)
 
 
-@dataclass
 class Scene:
     """The robot's state: its world of one scene, and where it is."""
 
-    settings: TabletopSettings
-    speed: float
-    done: JsonLines | None = None
-    world: Environment | None = None
-    lanes: Lanes | None = None
+    world: Environment
+    lanes: Lanes
+
+    def __init__(self, settings: TabletopSettings, speed: float, done: JsonLines | None) -> None:
+        """A scene on a perimeter; every action is noted in `done`."""
+        self.settings, self.speed, self.done = settings, speed, done
+        self.arrange("perimeter")
 
     def arrange(self, kind: str) -> None:
         """Another scene of a kind, by numbers from the operating system."""
@@ -98,37 +98,28 @@ class Scene:
 
     def perceive(self) -> list[float]:
         """The percept, seen anew."""
-        world, lanes = self._here()
-        self.lanes = world.observe(lanes)
+        self.lanes = self.world.observe(self.lanes)
         return [float(x) for x in self.lanes.percept[0]]
 
     def move_base(self, control: Sequence[float]) -> bool:
         """Whether a motion was carried out."""
-        world, lanes = self._here()
-        self._takes(MOTION)
-        self.lanes, done = world.step(lanes, torch.tensor([control]))
-        self._count("motion")
+        self._wait(MOTION)
+        self.lanes, done = self.world.step(self.lanes, torch.tensor([control]))
+        self._note("motion")
         return bool(done)
 
     def grasp(self) -> bool:
         """Whether a grasp succeeded."""
-        world, lanes = self._here()
-        self._takes(GRASP)
-        self.lanes, good = world.success(lanes)
-        self._count("test")
+        self._wait(GRASP)
+        self.lanes, good = self.world.success(self.lanes)
+        self._note("test")
         return bool(good > 0.5)
 
-    def _here(self) -> tuple[Environment, Lanes]:
-        if self.world is None or self.lanes is None:
-            self.arrange("perimeter")
-        assert self.world is not None and self.lanes is not None  # noqa: S101, PT018
-        return self.world, self.lanes
-
-    def _count(self, what: str) -> None:
+    def _note(self, what: str) -> None:
         if self.done is not None:
             self.done.append({"what": what})
 
-    def _takes(self, seconds: float) -> None:
+    def _wait(self, seconds: float) -> None:
         if self.speed:
             time.sleep(seconds / self.speed)
 
@@ -155,7 +146,7 @@ class _Server(socketserver.ThreadingTCPServer):
 def main(port: int, robot: str, world: str, speed: float, count: Path | None) -> None:
     """Be a robot on this machine, for drivers that connect to the port."""
     torch.set_num_threads(1)
-    settings = replace(TabletopSettings(), robot=robot, world=world, noise="fresh")
+    settings = TabletopSettings(robot=robot, world=world, noise="fresh")
     scene = Scene(settings, speed, JsonLines(count) if count else None)
 
     class Handler(socketserver.StreamRequestHandler):
@@ -168,7 +159,6 @@ def main(port: int, robot: str, world: str, speed: float, count: Path | None) ->
                     answer = getattr(scene, name)(*given) if name in CALLS else None
                     self.wfile.write((json.dumps(answer) + "\n").encode())
 
-    scene.arrange("perimeter")
     with _Server(("127.0.0.1", port), Handler) as server:
         click.echo(f"a robot is at 127.0.0.1:{server.server_address[1]}")
         server.serve_forever()

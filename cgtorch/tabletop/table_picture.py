@@ -240,13 +240,11 @@ def _frame(axes: "Axes", scenarios: Scenarios, footprint: Box) -> tuple[float, f
         scale = LONGEST / max(width, height)
         left, right, bottom, top = MARGINS
         size = (max(width * scale + left + right, 4.2), height * scale + bottom + top)
-    axes.set_aspect("equal")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(0.5))
-    axes.set_xlabel("y (m), to the robot's left")
-    axes.set_ylabel("x (m), away from the robot")
+    axes.set(aspect="equal", axisbelow=True)
+    axes.set(xlabel="y (m), to the robot's left", ylabel="x (m), away from the robot")
     axes.grid(color="#e6e6e6", linewidth=0.6)
-    axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     return size
 
