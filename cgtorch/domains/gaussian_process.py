@@ -28,7 +28,7 @@ LEAST_NOISE = 1e-3
 """The smallest standard deviation of the noise, in units of that of the changes."""
 
 
-@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+@dataclass(frozen=True, eq=False)  # as tensors have no single truth value
 class Kernel:
     """The covariance of changes between standardised features.
 

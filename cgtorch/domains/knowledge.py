@@ -26,7 +26,7 @@ SWIFT_CENTRES = 128
 FAMILIAR = 0.999  # share of the training transitions that are not novel
 CHANCE = 2**32  # the generator of what actions draw in the models, derived like an island's
 LOOKS = 16  # motions for which errors of Γ are drawn; later ones use them again
-SPARE = 300  # rows below which none can be spared
+SPARE = 300  # least number of rows from which a share is held out
 ASIDE = 10  # every tenth row is kept out of all fits, to judge them by
 MOST_TRANSITIONS, MOST_LABELS = 4000, 6000
 """Maximum numbers of transitions and labels to learn from; of more, a coreset is kept."""

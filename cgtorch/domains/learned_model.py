@@ -76,7 +76,7 @@ class LearnedModel(FittedModule, ABC):
         fresh = deepcopy(self).double().to(exact[0].device)
         fresh.machine.check_fitted()
         fresh.widen(*exact)
-        if bool(fresh.machine.cost.any()):  # else it says nothing, since nothing could be learnt
+        if bool(fresh.machine.cost.any()):  # else it is None, since nothing could be learnt
             features, target, tells = fresh.learnable(*exact)
             fresh.machine.learn_on(features[tells], target[tells])
             fresh.measure_reach(features[tells])

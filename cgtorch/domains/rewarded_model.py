@@ -50,7 +50,7 @@ class Imagined(ScenarioBatch):
     def drawn(cls, percept: Tensor, count: int, generator: Generator) -> Self:
         """`count` starts, each at a random place between two of the percepts (b, D).
 
-        A policy would learn by heart what to do at a few known starts.
+        A policy would overfit to a few known starts.
         """
         one, other = torch.randint(len(percept), (2, count), generator=generator)
         share = torch.rand(count, 1, generator=generator).to(percept)

@@ -14,7 +14,7 @@ MOST_FULL = 200  # parameters for which covariances are learned
 LEAST_VARIANCE = 1e-20  # of any direction, in units of the squared step size
 
 
-@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+@dataclass(frozen=True, eq=False)  # as tensors have no single truth value
 class Distribution:
     """A normal distribution of n parameters; all tensors are float64.
 

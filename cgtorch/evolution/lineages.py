@@ -37,7 +37,7 @@ RECENT = 8  # generations over which the progress of a lineage is averaged
 LEAST_PROGRESS = 0.01  # relative improvement of the average fitness that counts as progress
 
 
-@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+@dataclass(frozen=True, eq=False)  # as tensors have no single truth value
 class Lineage:
     """A graph whose parameters are tuned.
 

@@ -46,7 +46,7 @@ STRATEGY_MIN, PROBABILITY_MAX, SIGMA_MAX = 1e-3, 1.0, 10.0
 DRAWN = 32  # graphs that `varied_graphs` draws for each one that it keeps
 
 
-@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+@dataclass(frozen=True, eq=False)  # as tensors have no single truth value
 class Population:
     """P individuals.
 

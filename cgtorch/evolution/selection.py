@@ -22,7 +22,7 @@ generator of all random choices to parents (count,)."""
 MOST_CANDIDATES = 1024  # individuals that a parent is chosen from at most
 
 
-@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+@dataclass(frozen=True, eq=False)  # as tensors have no single truth value
 class Evaluated:
     """P individuals with their fitness (P,) and scores (P, B), as in `Evaluation`."""
 

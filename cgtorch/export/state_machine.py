@@ -94,7 +94,7 @@ def _source(module: str) -> str:
     """The text of a module, which is not executed."""
     try:
         spec = find_spec(module)
-    except (ImportError, ValueError):  # of a folder that is none, or of no name at all
+    except (ImportError, ValueError):  # the module cannot be found
         spec = None
     if spec is None or not spec.has_location or spec.origin is None:
         raise ActionError(f"plain_module {module!r} is no module of a file; name one, or none")

@@ -17,7 +17,7 @@ from cgtorch.ground.errors import GraphError
 NO_NODE = -1
 
 
-@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+@dataclass(frozen=True, eq=False)  # as tensors have no single truth value
 class Graphs:
     """P computational graphs of up to N nodes.
 

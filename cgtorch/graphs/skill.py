@@ -13,7 +13,7 @@ from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 
 
-@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+@dataclass(frozen=True, eq=False)  # as tensors have no single truth value
 class Skill:
     """A named computational graph; GraphError if it is not valid.
 

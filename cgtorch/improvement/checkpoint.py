@@ -126,7 +126,7 @@ def found_from(tensors: dict[str, Tensor], actions: ActionSet, scenarios: int) -
 
 def checkpoint_of(found: Found, islands: Sequence[EvolutionState], count: int) -> Checkpoint:
     """A checkpoint of a result and of those of `count` islands that this rank holds."""
-    # Looked at now: what is kept when a step is interrupted is written after more was drawn.
+    # Read now, because an interrupted step is stored after further draws.
     held = dict(zip(ranks.held(count), map(state_tensors, islands), strict=True))
 
     def part(number: int) -> dict[str, Tensor]:

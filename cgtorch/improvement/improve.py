@@ -205,7 +205,7 @@ def acted(
         done = not lost and state.in_a_row >= _wanted(setup, state) and not missed
     except BudgetSpentError:
         done = True
-        if not state.tried.any():  # the models have the last word, as the world has none
+        if not state.tried.any():  # the models decide, as the world is not asked again
             thought = replace(state, current=candidate, repeats=False)
             state = replace(proposed(setup, thought)[1], repeats=state.repeats)
     setup.watch(Practised(setup.name, candidate.skill, state.in_a_row, _wanted(setup, state)))

@@ -140,7 +140,7 @@ class StageState(Generic[S]):
         )
 
     def joined_by(self, member: Skill) -> "StageState[S]":
-        """The state with one more member, who is trusted everywhere."""
+        """The state with one more member, which is trusted everywhere."""
         trust = torch.cat([self.trust, torch.ones(len(self.trust), 1)], 1)
         return replace(self, members=(*self.members, member), trust=trust)
 
@@ -216,7 +216,7 @@ def _candidate(setup: Setup[S], state: StageState[S]) -> tuple[Candidate, StageS
     # The models may not know the failures that the world has shown.
     now[state.shown < 0, 0] *= 0.0 if state.repeats else BLAME
     gain = 0.0
-    if not state.repeats:  # else the world has the last word on W
+    if not state.repeats:  # else the world decides on W
         now[state.shown > 0, 0] = now[state.shown > 0, 0].clamp(min=RELIABLE)
         gain = WORTH if state.in_a_row >= REFLECT else 0.0
     better = no_worse(now[:, 0], now[:, 1], state.keep, gain)

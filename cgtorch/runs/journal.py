@@ -106,7 +106,7 @@ class FileJournal(Journal):
         """See the base class."""
         self._checkpoint = self._unwritten = None
         self._write(f"{len(self._steps):05}", {"step": step}, result)
-        self._steps.append((step, {}))  # only its place is needed any more
+        self._steps.append((step, {}))  # only its place is still needed
         self._next = len(self._steps)
         self._remove(self._files(_STEP)[len(self._steps) :])
         self._keep_checkpoints(0)
@@ -131,7 +131,7 @@ class FileJournal(Journal):
     def __exit__(
         self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # Who ends early does so alone, so what other ranks hold cannot be had any more.
+        # A rank that ends early does so alone, so parts of other ranks are out of reach.
         unwritten = self._unwritten
         if kind is None:
             forget(self._folder)
@@ -212,7 +212,7 @@ class FileJournal(Journal):
             return None
         for i, wanted in enumerate(sums):
             part = path.with_name(f"{path.stem}.{i}.safetensors")
-            # Looked at now and read when it is needed: not all may fit into memory.
+            # Checked now and read when needed, as not all may fit into memory.
             if (found := self._whole(part)) is None:
                 return None
             if found[0]["sha256"] != wanted:

@@ -89,7 +89,7 @@ class CompiledActions:
         return replace(self, program=moved, only_resumable=self.only_resumable.to(device))
 
 
-@lru_cache(maxsize=16)  # it is asked for with every call of `rollout`
+@lru_cache(maxsize=16)  # every call of `rollout` needs it
 def compiled_actions(
     actions: ActionSet, percept_size: int, dtype: torch.dtype, kinds: tuple[str, ...]
 ) -> CompiledActions | None:

@@ -41,7 +41,7 @@ def ends(actions: ActionSet) -> Tensor:
     return torch.where(actions.succeeds, SUCCESS, FAILURE)
 
 
-@lru_cache(maxsize=16)  # in torch it is asked for in every generation
+@lru_cache(maxsize=16)  # in torch every generation needs it
 def action_table(actions: ActionSet) -> ActionTable:
     """The table of an action set."""
     skills = tuple(_skills(actions, {}).values())

@@ -167,7 +167,7 @@ def resumable_rollout(
     dtype, (p, b) = graphs.parameters.dtype, (len(graphs), len(scenarios))
     if dtype not in REALS or not 0 < p * b <= LARGEST or not is_whole(scenarios):
         return None
-    # Γ predicts what would be perceived, and gives every graph the same first lanes.
+    # Γ predicts percepts, and gives every graph the same first lanes.
     in_models = type(environment) is ModelEnvironment
     kinds = (*NETWORKS, *WITH_MEMORY, *(("PERCEIVE",) if in_models else ()))
     size = environment.percept_size

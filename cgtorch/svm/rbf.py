@@ -25,7 +25,7 @@ _LARGEST = 1e18  # scaled features up to which distances are finite
 _ROWS, _CENTRES, _OUTPUTS = 48, 16, 2  # multiples of which torch rounds all rows alike
 _CHUNK_BYTES = 1024**2
 _SMALLEST_CHUNK, _LARGEST_CHUNK = 128, 1024
-_MOST_BYTES = 256 * 1024**2  # of a chunk, however many centres a stranger's model has
+_MOST_BYTES = 256 * 1024**2  # of a chunk, for any number of centres
 _CHUNKS = 4  # in a block, which is what the small operations before and after work on
 
 

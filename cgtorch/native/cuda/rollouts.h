@@ -4,7 +4,7 @@
 #pragma once
 #include "engine/actions.h"
 
-#define REFILL 8 /* threads without a lane, for whom it pays to look for new ones */
+#define REFILL 8 /* threads without a lane from which a search for new ones pays off */
 
 /* The position of a thread. */
 typedef struct {
@@ -131,7 +131,7 @@ template <bool EVALUATES> INLINE void run_lanes(const Task *task, const Launch *
     if (!any) continue;
     Done done = one_action<EVALUATES>(task, layout, &run, &lanes);
     if (!run.active) continue;
-    bool over = run.ended || !EVALUATES; /* C has been asked, or need not be */
+    bool over = run.ended || !EVALUATES; /* C was evaluated, or need not be */
     if (!run.ended)
       run.ended = advance(task, run.graph, &lanes, lanes.node[0], done.second[0] != 0, every(-1), done.changed)[0];
     if (!run.ended || !over) continue;

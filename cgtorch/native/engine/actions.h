@@ -152,7 +152,7 @@ INLINE vwhole advance(const Task *task, GraphRows graph, Lanes *lanes, int64_t n
   int64_t head = head_of(program, graph, node, outcome), first = program->rows;
   int enters = head >= 0 && kind_of(program, graph, head) >= program->count;
   vwhole left = lanes->left - 1, skipped = every(0), end = every((whole)head);
-  if (head >= 0) { /* back where it was with nothing changed, only the limit of transitions ends it */
+  if (head >= 0) { /* in an unchanged state again, only the limit of transitions ends the lane */
     vwhole bit = bit_of(head - first), same = here & ~changed;
     if (enters || page_of(head - first) != page_of(node - first)) same = every(0);
     skipped = left & same & ((lanes->visited & bit) != 0);

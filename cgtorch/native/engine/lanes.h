@@ -45,15 +45,15 @@ typedef struct {
   real *score;
   unsigned char *succeeded;
   int64_t counted, executed; /* transitions of evaluations, and those that were made, of both */
-  int64_t not_finite;        /* graphs with a number that is none; nothing of what they did counts */
+  int64_t not_finite;        /* graphs with NaN, whose results do not count */
 
-  int64_t wrong; /* set where a graph has numbers that are none of its nodes or actions */
+  int64_t wrong; /* set where a graph has an invalid node or action */
   const Chunk *chunks;
   int64_t num_chunks;
 } Task;
 
 INLINE int all_finite(const real *x, int64_t count) {
-  real total = 0; /* 0 times what is not finite is not a number */
+  real total = 0; /* 0 times infinity is NaN */
 #pragma omp simd reduction(+ : total)
   for (int64_t i = 0; i < count; i++) total += x[i] * 0;
   return total == 0;

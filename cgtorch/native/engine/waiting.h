@@ -129,7 +129,7 @@ INLINE int32_t walk(const Walk *v, int64_t i, int64_t outcome, int changed, int 
   Successor successor = v->successors[at->node * v->outcomes + outcome];
   int32_t left = at->left - 1, skipped = 0, end = successor.head < 0 ? successor.head : 0, step = at->step + 1;
   int enters = 0;
-  if (successor.head >= 0) { /* back where it was with nothing changed, only the limit of transitions ends it */
+  if (successor.head >= 0) { /* in an unchanged state again, only the limit of transitions ends the lane */
     uint64_t bit = seen_bit(successor.head - at->first);
     enters = successor.kind >= v->count;
     int32_t apart = (successor.head - at->first) ^ (at->node - at->first);
@@ -244,7 +244,7 @@ INLINE void into_columns_of(const real *const *rows, int count, vec *columns) {
 /* Copies a row; returns whether any number differs. */
 INLINE int copied_row(const real *from, real *to, int64_t size) {
   int other = 0;
-#ifdef __AVX512DQ__ /* which needs no loop for what is not a whole vector */
+#ifdef __AVX512DQ__ /* without a loop for the rest of a vector */
   for (int64_t j = 0; j < size; j += WIDTH) {
     uint32_t part = size - j < WIDTH ? (1u << (size - j)) - 1 : (uint32_t)((1ull << WIDTH) - 1);
 #ifdef REAL_IS_FLOAT

@@ -44,7 +44,7 @@ int rbf_values(const Machine *machine, const real *x, int64_t n, real *values, r
   return 0;
 }
 
-#define FAINT 40 /* 2^-40 and less is 0: small numbers would slow down what is done with them */
+#define FAINT 40 /* 2^-40 and less is 0, as small numbers would slow down later operations */
 
 /* In single precision, from distances in double. */
 typedef struct {

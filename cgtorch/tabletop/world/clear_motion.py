@@ -54,7 +54,7 @@ def motion_possible_in_torch(
     return free
 
 
-@dataclass(frozen=True, eq=False)  # equality would have to be one of tensors
+@dataclass(frozen=True, eq=False)  # as tensors have no single truth value
 class ClearMotion:
     """MoveBase's own check on percepts: the motion must be clear of table and obstacles as seen.
 
