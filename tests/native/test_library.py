@@ -23,7 +23,7 @@ def found_anew(monkeypatch: pytest.MonkeyPatch, **environment: str) -> Any:
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(library, "built", getattr(library.built, "__wrapped__", library.built))
-    return library.library(torch.float64)
+    return library.library(torch.float32)
 
 
 def test_it_is_compiled_once_into_the_cache(
