@@ -19,7 +19,6 @@ from cgtorch.export import (
     SkillStep,
     to_dot,
     to_graphml,
-    to_json,
     to_mermaid,
     to_module,
     to_onnx,
@@ -28,13 +27,11 @@ from cgtorch.export import (
 from cgtorch.export.modules import ABOUT
 from cgtorch.graphs import (
     Action,
-    ActionSet,
     DelayNN,
     LinearNN,
     RecurrentNN,
     Skill,
     SubSkill,
-    load_skill,
 )
 from cgtorch.report import draw_skill
 from cgtorch.tabletop.actions import paper_actions
@@ -155,15 +152,6 @@ def test_a_state_machine_has_it_as_plain_python(tmp_path: Path, wanted: Wanted) 
         sent = zip(run.controls, run.routines, strict=True)
         moves = [control for control, routine in sent if routine == "control"]
         torch.testing.assert_close(torch.stack(controls), torch.stack(moves), atol=1e-5, rtol=0)
-
-
-def test_skill_files_name_it(tmp_path: Path) -> None:
-    (tmp_path / "skill.json").write_bytes(to_json(SKILL))
-    names, actions = SKILL.actions.names[:-1], SKILL.actions.actions[:-1]
-    again = load_skill(tmp_path / "skill.json", ActionSet(names, actions))
-    runs = [by_the_library(skill, PLACE)[0] for skill in (SKILL, again)]
-    for one, other in zip(*runs, strict=True):
-        assert_same(one, other)
 
 
 def test_it_is_drawn() -> None:

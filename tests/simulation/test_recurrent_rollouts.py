@@ -5,14 +5,10 @@ from typing import Any
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from random_kernel_models import DOMAINS, random_kernel_models
 from random_models import models_as, random_models
 from support import (
     as_double,
-    as_double_actions,
-    model,
     nested_actions,
     random_graphs,
     recurrent_actions,
@@ -20,12 +16,10 @@ from support import (
     world,
 )
 from test_resumable_rollouts import assert_same, in_torch, waiting
-from test_rollout import compare
 from told_by_runs import tensors_of
 from torch.nn.functional import pad
 from walking import Path, RewardedPath, chain, path
 
-from cgtorch import native
 from cgtorch.graphs import (
     Action,
     ActionSet,
@@ -48,7 +42,6 @@ from cgtorch.tabletop.actions import paper_actions
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
 PLAIN_SETS = [recurrent_actions(), nested_actions(0, recurrent_actions())]
-SETS = [as_double_actions(actions) for actions in PLAIN_SETS]
 
 
 def using(graphs: Graphs, actions: ActionSet) -> torch.Tensor:
@@ -63,35 +56,6 @@ def not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(RecurrentNN, "forward", asked)
     monkeypatch.setattr(DelayNN, "forward", asked)
-
-
-@pytest.mark.parametrize("actions", SETS)
-@pytest.mark.parametrize("place", [world, model])
-@given(seed=st.integers(0, 2**31), limit=st.integers(1, 20), steps=st.integers(1, 40))
-@settings(max_examples=15)
-def test_the_plain_interpreter_says_the_same(
-    actions: ActionSet, place: Any, seed: int, limit: int, steps: int
-) -> None:
-    graphs = as_double(random_graphs(seed, 6, actions))
-    compare(graphs, actions, place(seed, 4, dtype=torch.float64), limit, steps)
-
-
-@given(
-    seed=st.integers(0, 2**31),
-    actions=st.sampled_from(SETS),
-    in_world=st.booleans(),
-    limits=st.tuples(st.integers(1, 20), st.integers(1, 60)),
-)
-@settings(max_examples=40)
-def test_compiled_they_do_what_they_do_in_torch(
-    seed: int, actions: ActionSet, in_world: bool, limits: tuple[int, int]
-) -> None:
-    graphs = as_double(random_graphs(seed, 20, actions))
-    place: Environment = random_models(seed, 5)
-    if in_world:
-        place = world(seed, 5, dtype=torch.float64)
-    given = graphs, actions, place, limits
-    assert_same(waiting(*given), in_torch(*given), 1e-8)
 
 
 @pytest.mark.parametrize("domain", DOMAINS)
@@ -167,18 +131,6 @@ def test_a_result_depends_on_nothing_else_in_the_batch(dtype: torch.dtype) -> No
         alone = rollout(graphs[i : i + 1], actions, place)
         for name, value in tensors_of(alone).items():
             assert torch.equal(value[0], getattr(everything, name)[i]), name
-
-
-def test_no_number_of_threads_changes_anything() -> None:
-    actions, place = SETS[1], world(0, 40, dtype=torch.float64)
-    graphs = as_double(random_graphs(2, 60, actions))  # more lanes than one thread takes at once
-    found = []
-    for count in (1, 2, 5):
-        native.use_threads(count)
-        found.append(waiting(graphs, actions, place, (20, 60)))
-    for other in found[1:]:
-        for name, value in tensors_of(found[0]).items():
-            assert torch.equal(getattr(other, name), value), name
 
 
 @pytest.mark.parametrize(("silent", "still"), [(False, False), (True, False), (True, True)])

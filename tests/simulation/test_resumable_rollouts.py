@@ -13,6 +13,7 @@ from support import (
     custom_actions,
     nested_actions,
     random_graphs,
+    recurrent_actions,
     stochastic_actions,
     world,
 )
@@ -41,6 +42,8 @@ SETS = [
         stochastic_actions(),
         nested_actions(0, custom_actions()),
         nested_actions(40, stochastic_actions()),
+        recurrent_actions(),
+        nested_actions(0, recurrent_actions()),
     )
 ]
 
@@ -107,8 +110,9 @@ def test_where_nothing_needs_python_both_ways_give_the_same_bits(
         assert torch.equal(getattr(found, name), value), name
 
 
-def test_no_number_of_threads_changes_anything() -> None:
-    actions, environment = SETS[3], world(0, 40, dtype=torch.float64)
+@pytest.mark.parametrize("actions", [SETS[3], SETS[5]])
+def test_no_number_of_threads_changes_anything(actions: ActionSet) -> None:
+    environment = world(0, 40, dtype=torch.float64)
     graphs = as_double(random_graphs(2, 60, actions))  # more lanes than one thread takes at once
     found = []
     for count in (1, 2, 5):

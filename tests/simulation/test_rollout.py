@@ -17,6 +17,7 @@ from support import (
     nested_actions,
     random_graphs,
     random_skill,
+    recurrent_actions,
     seeded,
     stochastic_actions,
     world,
@@ -36,6 +37,8 @@ PLAIN_SETS = [
     stochastic_actions(),
     nested_actions(0),
     nested_actions(40, base=stochastic_actions()),
+    recurrent_actions(),
+    nested_actions(0, recurrent_actions()),
 ]
 SETS = [as_double_actions(s) for s in PLAIN_SETS]  # so that rounding cannot turn a branch
 ENVIRONMENTS: dict[str, Callable[..., Environment]] = {"world": world, "model": model}
@@ -73,7 +76,7 @@ def compare(
     limit=st.integers(1, 20),
     steps=st.integers(1, 40),
 )
-@settings(max_examples=25)
+@settings(max_examples=35)
 def test_engine_equals_the_interpreter(
     place: str, seed: int, actions: ActionSet, limit: int, steps: int
 ) -> None:
