@@ -80,12 +80,16 @@ static void find_pans(Search *s) {
 static void find_postures(Search *s) {
   const ClosedForm *form = &s->grasps->form;
   s->count = 0;
-  for (int64_t i = 0; i < form->samples; i++)
+  for (int64_t i = 0; i < form->samples; i++) {
+    const Pan *pan = s->pans + i;
+    real at[3];
+    if (!(FN(fabs)(elbow_of(form, pan->cosine, pan->sine, s->wrist[2], at)) <= 1)) continue;
     for (int64_t k = 0; k < form->count; k++) {
       Posture *next = s->postures + s->count;
-      next->branch = form->branches + k * 3, next->pan = s->pans + i;
-      s->count += solved(form, next->branch, next->pan, s->wrist[2], next->q);
+      next->branch = form->branches + k * 3, next->pan = pan;
+      s->count += solved(form, next->branch, pan, s->wrist[2], next->q);
     }
+  }
 }
 
 static int nearer_home(const void *a, const void *b) {
