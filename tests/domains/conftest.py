@@ -1,10 +1,11 @@
-"""Models of a small tabletop."""
+"""Models of a small tabletop and of the rail."""
 
 import pytest
-from reaching import small_knowledge, small_setup
+from rail import Cart, driven
+from reaching import small_knowledge
+from support import models_of
 
 from cgtorch.domains.knowledge import Knowledge
-from cgtorch.improvement.setup import Setup
 
 
 @pytest.fixture(scope="session")
@@ -12,6 +13,7 @@ def knowledge() -> Knowledge:
     return small_knowledge()
 
 
-@pytest.fixture
-def setup() -> Setup:
-    return small_setup()
+@pytest.fixture(scope="session")
+def known() -> Knowledge:
+    """What is known of the rail after 300 transitions and as many tests."""
+    return models_of(Cart()).fit(driven(300, 300, 0), 0)

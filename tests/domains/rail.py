@@ -1,6 +1,7 @@
 """A small domain: a cart on a rail, blown by the wind, whose lamp turns and whose gear shifts."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from support import seeded
@@ -82,6 +83,17 @@ class Cart(Domain[Carts]):
 
     def world(self, scenarios: Carts) -> Rail:
         return Rail(scenarios)
+
+
+def cart_with(**parts: Any) -> Cart:
+    """A cart of which some attributes or methods are others."""
+    return type("Own", (Cart,), parts)()
+
+
+def rail_with(**parts: Any) -> Cart:
+    """A cart in whose world some methods are others."""
+    kind = type("Track", (Rail,), parts)
+    return cart_with(world=lambda self, scenarios: kind(scenarios))
 
 
 class SeeingModels(Models[Cart]):

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 from driven_cart import CartDriver, cart
-from rail import Cart, Carts, Rail, SeeingCart
+from rail import Cart, Carts, Rail, SeeingCart, cart_with, rail_with
 from support import seeded
 from torch import Tensor
 
@@ -19,17 +19,6 @@ from cgtorch.domains import domain as domains
 from cgtorch.domains.check import check_domain
 from cgtorch.ground.environment import Environment, Lanes, Rewarded, ScenarioBatch
 from cgtorch.ground.errors import DomainError, WorldError
-
-
-def cart_with(**parts: Any) -> Cart:
-    """A cart of which some attributes or methods are others."""
-    return type("Own", (Cart,), parts)()
-
-
-def rail_with(**parts: Any) -> Cart:
-    """A cart in whose world some methods are others."""
-    kind = type("Track", (Rail,), parts)
-    return cart_with(world=lambda self, scenarios: kind(scenarios))
 
 
 def refused(domain: Cart, scenarios: str = "any") -> str:
@@ -83,20 +72,12 @@ def test_parts_are_classes_of_their_kind(name: str) -> None:
     check_domain(cart_with(models=None), "any")
 
 
-def test_there_is_a_kind() -> None:
-    assert refused(cart_with(kinds=())) == (
-        "Own.kinds is empty; name at least one kind of scenarios"
-    )
-
-
-def test_stages_are_about_kinds_that_there_are() -> None:
+def test_there_is_a_kind_and_stages_are_about_such() -> None:
+    assert refused(cart_with(kinds=())) == "Own.kinds is empty; name at least one kind of scenarios"
+    assert refused(Cart(), "storm") == "Cart has no scenarios 'storm'; use one of any"
     check_domain(cart_with(stages={"one": "any"}), "any")
     message = refused(cart_with(stages={"one": "any", "two": "storm"}))
     assert message.startswith("Own.stages has 'two' about 'storm', which is none of its kinds")
-
-
-def test_a_run_is_about_a_kind_that_can_be_trained() -> None:
-    assert refused(Cart(), "storm") == "Cart has no scenarios 'storm'; use one of any"
 
 
 class Alike(ScenarioBatch):
@@ -106,36 +87,23 @@ class Alike(ScenarioBatch):
         return 1
 
 
-@pytest.mark.parametrize(
-    ("draw", "message"),
-    [
-        (
-            lambda count, generator: torch.rand(count, 4, generator=generator),
-            r"Own.draw returned a tensor \(0, 4\) of float32 for a count of 0; return a Scen",
-        ),
-        (
-            lambda count, generator: None,
-            "Own.draw returned a NoneType for a count of 0; return a ScenarioBatch of",
-        ),
-        (
-            lambda count, generator: Cart().draw("any", max(count, 1), generator),
-            "Own.draw returned 1 scenarios for a count of 0; return a ScenarioBatch of 0",
-        ),
-        (
-            lambda count, generator: Cart().draw("any", 3 * count, generator),
-            "Own.draw returned 6 scenarios for a count of 2; return a ScenarioBatch of 2",
-        ),
-        (
-            lambda count, generator: Alike(),
-            "Own.draw returned 1 scenarios for a count of 0; return",
-        ),
-        (
-            lambda count, generator: Cart().draw("any", count, torch.default_generator),
-            "Own.draw gave other scenarios for the same generator; draw all numbers from it",
-        ),
-        (lambda count, generator: [][count], "Own.draw raised IndexError.*tried with two rows"),
-    ],
-)
+def drawn(count: int, generator: Any) -> Carts:
+    return Cart().draw("any", count, generator)
+
+
+RETURNED = "Own.draw returned"
+DRAWS: list[tuple[Callable[..., Any], str]] = [
+    (lambda n, g: torch.rand(n, 4), rf"{RETURNED} a tensor \(0, 4\) of float32 for a count of 0; "),
+    (lambda n, g: None, f"{RETURNED} a NoneType for a count of 0; return a ScenarioBatch of"),
+    (lambda n, g: drawn(max(n, 1), g), f"{RETURNED} 1 scenarios for a count of 0; return a Scenar"),
+    (lambda n, g: drawn(3 * n, g), f"{RETURNED} 6 scenarios for a count of 2; return a ScenarioB"),
+    (lambda n, g: Alike(), f"{RETURNED} 1 scenarios for a count of 0; return"),
+    (lambda n, g: drawn(n, torch.default_generator), "Own.draw gave other scenarios for the same "),
+    (lambda n, g: [][n], "Own.draw raised IndexError.*tried with two rows"),
+]
+
+
+@pytest.mark.parametrize(("draw", "message"), DRAWS)
 def test_what_draw_returns_wrongly_is_named(draw: Callable[..., Any], message: str) -> None:
     own = cart_with(draw=lambda self, kind, count, generator: draw(count, generator))
     assert re.fullmatch(f"{message}.*", refused(own))
@@ -209,61 +177,33 @@ def test_a_world_that_cannot_be_made_is_named() -> None:
     assert refused(own).startswith("Own.world raised AttributeError: ")
 
 
-@pytest.mark.parametrize(
-    ("method", "result", "message"),
-    [
-        (
-            "start",
-            lambda s: s,
-            r"Track.start \(.*\) returned a tensor \(2,\) of int64; return \(states",
-        ),
-        (
-            "step",
-            lambda lanes, u: lanes,
-            r"Track.step \(.*\) returned a Lanes; return \(lanes, whe",
-        ),
-        (
-            "success",
-            lambda lanes: None,
-            r"Track.success \(.*\) returned a NoneType; return \(lanes",
-        ),
-        (
-            "first_state",
-            lambda s: [][1],
-            r"Track.start \(first_state, perceived\) raised IndexError",
-        ),
-        (
-            "first_state",
-            lambda s: s,
-            r"Track.start \(.*\) returned percepts as a tensor \(2,\) of float32; .*\(2, 1\)",
-        ),
-        (
-            "perceived",
-            lambda state, s: state[:, None],
-            r"Track.start \(.*\) returned percepts as a tensor \(2, 1, 4\) of float32; .*\(2, 4\)",
-        ),
-        (
-            "next_state",
-            lambda state, u, s: state @ state,
-            r"Track.step \(next_state, perceived\) raised RuntimeError",
-        ),
-        (
-            "succeeded",
-            lambda state: state.abs() < 0.5,
-            r"Track.success \(succeeded\) returned probabilities as a tensor \(2, 4\)",
-        ),
-        (
-            "succeeded",
-            lambda state: (state[:, 0].abs() < 0.5).float(),
-            r"Track.succeeded returned a tensor \(2,\) of float32; return .* of bool",
-        ),
-    ],
-)
+RESULTS: list[tuple[str, Callable[..., Any], str]] = [
+    ("start", lambda s: s, r"start \(.*\) returned a tensor \(2,\) of int64; return \(states"),
+    ("step", lambda lanes, u: lanes, r"step \(.*\) returned a Lanes; return \(lanes, whe"),
+    ("success", lambda lanes: None, r"success \(.*\) returned a NoneType; return \(lanes"),
+    ("first_state", lambda s: [][1], r"start \(first_state, perceived\) raised IndexError"),
+    ("first_state", lambda s: s, r"start .* percepts as a tensor \(2,\) of float32; .*\(2, 1\)"),
+    ("perceived", lambda x, s: x[:, None], r"start .* percepts as a tensor \(2, 1, 4\).*\(2, 4\)"),
+    ("next_state", lambda x, u, s: x @ x, r"step \(next_state, perceived\) raised RuntimeError"),
+    (
+        "succeeded",
+        lambda x: x < 0.5,
+        r"success \(succeeded\) .* probabilities .* \(2, 4\)",
+    ),
+    (
+        "succeeded",
+        lambda x: x[:, 0].abs(),
+        r"succeeded returned .* \(2,\) of float32; .*bool",
+    ),
+]
+
+
+@pytest.mark.parametrize(("method", "result", "message"), RESULTS)
 def test_what_a_world_returns_wrongly_is_named(
     method: str, result: Callable[..., Any], message: str
 ) -> None:
     own = rail_with(**{method: lambda self, *given: result(*given)})
-    with pytest.raises((WorldError, DomainError), match=message):
+    with pytest.raises((WorldError, DomainError), match=rf"Track\.{message}"):
         check_domain(own, "any")
 
 

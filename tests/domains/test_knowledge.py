@@ -1,260 +1,124 @@
-"""Models as an environment, learning on, local groups, other noise."""
+"""Γ and C of a domain: which rows they are fitted to, how they learn on, and what is told."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from members import nearly
-from reaching import BASE, TABLE_MODELS, Reaching, fitted_to, world_of
-from support import seeded, world
-from torch import Tensor
+from rail import LAMP, Cart, SeeingCart, driven
+from support import models_of, seeded
 
+from cgtorch.domains import knowledge as learned
 from cgtorch.domains.knowledge import (
     ASIDE,
+    FEW,
     MOST_NEW,
+    SHOWN,
+    SPARE,
     Knowledge,
-    hold_out,
     learn_more,
+    rows_of,
     sampled,
-    taken,
+    scalars_of,
+    summary_of,
 )
-from cgtorch.ground.environment import Dataset, start_lanes
-from cgtorch.improvement.compose import local_group
-from cgtorch.improvement.setup import Setup
-from cgtorch.improvement.trial import first_percepts, try_skill
-from cgtorch.tabletop.data import Scenes, collect
-from cgtorch.tabletop.world import cluttered_scenarios, random_scenarios
-
-PERCEPTS = world(0, 4).start(torch.arange(4))[1]
+from cgtorch.domains.models import Models
+from cgtorch.ground.environment import Dataset
+from cgtorch.ground.statistics import Acceptance
 
 
-@pytest.mark.parametrize("replicas", [1, 3])
-def test_scenarios_are_imagined_several_times(knowledge: Knowledge, replicas: int) -> None:
-    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, replicas, seeded(0))
-    assert place.num_scenarios == 4 * replicas
-    seen = place.start(torch.arange(4 * replicas))[1]
-    for i in range(4):
-        assert (seen[i * replicas : (i + 1) * replicas] == PERCEPTS[i]).all()
+def test_models_are_fitted_with_the_features_of_their_domain() -> None:
+    data = driven(80, 120, 1)
+    knowledge = models_of(SeeingCart()).fit(data, 0)
+    assert type(knowledge.gamma).__name__ == "KernelTransitionModel"
+    assert len(knowledge.dataset.percept) == knowledge.gamma_report.rows == 80
+    assert len(knowledge.dataset.tested) == knowledge.classifier_report.rows == 120
+    assert len(knowledge.aside.percept) == len(knowledge.aside.tested) == 0
+    assert knowledge.acceptances is None
+    assert knowledge.gamma.features(data.percept, data.control).shape[1] == 10
+    assert knowledge.classifier.features(data.tested).shape[1] == 6
 
 
-def test_errors_are_those_that_gamma_makes(knowledge: Knowledge) -> None:
-    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 3, seeded(0))
-    data = knowledge.dataset
-    made = data.next_percept - knowledge.swift(data.percept, data.control).detach()
-    assert place.errors is not None
-    errors = place.errors.flatten(0, 1)
-    assert (
-        torch.cdist(errors, made, compute_mode="donot_use_mm_for_euclid_dist").amin(1).max() < 1e-5
-    )
-    assert len({tuple(row) for row in place.errors[:, 0].tolist()}) > 6  # replicas differ
-    # A motion ends where Γ says, and off by that error.
-    lanes = start_lanes(place, torch.arange(12), 0, 0)
-    back = torch.tensor([-0.3, 0.0, 0.0]).repeat(12, 1)
-    after, done = place.step(lanes, back)
-    assert done.all()
-    expected = knowledge.swift(lanes.percept, back) + place.errors[:, 0]
-    assert torch.allclose(after.percept, expected, atol=1e-6)
-
-
-def test_imagined_tables_are_in_the_way(knowledge: Knowledge) -> None:
-    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 1, seeded(0))
-    lanes = start_lanes(place, torch.arange(4), 0, 0)
-    for ahead, free in ((0.2, True), (1.2, False), (-3.0, False), (float("nan"), False)):
-        motion = torch.tensor([ahead, 0.0, 0.0]).repeat(4, 1)
-        after, done = place.step(lanes, motion)
-        assert done.tolist() == [free] * 4
-        assert free or torch.equal(after.percept, lanes.percept)
-
-
-def test_a_seen_yaw_and_obstacles_count_in_the_models() -> None:
-    """A square table of 1 m, turned by 45°, whose box is also in the way where it is not."""
-    half = 0.5**0.5
-    seven = [1.2 - half, 1.2 + half, -half, half, 1.2, 0.0, 0.8]
-    turned, behind, none = [0.0, 1.0], [-1.0, -0.5, -0.2, 0.2], [0.0] * 4
-    possible = TABLE_MODELS.possible
-    forwards, aside, back = [0.6, 0.0, 0.0], [0.2, 0.9, 0.0], [-0.4, 0.0, 0.0]
-    for extra, free in (
-        ([], [False, False, True]),
-        (turned, [False, True, True]),
-        (turned + behind, [False, True, False]),
-        (turned + none, [False, True, True]),
-    ):
-        percept = torch.tensor([seven + extra]).repeat(3, 1)
-        assert possible(percept, torch.tensor([forwards, aside, back])).tolist() == free
-
-
-def test_with_few_data_nearly_all_fresh_transitions_are_within_them(knowledge: Knowledge) -> None:
-    """The training data alone would say otherwise: each is a centre and not novel at all."""
-    fresh = collect(Scenes(world_of), 400, 120, seeded(8))
-    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 1, seeded(0))
-    with torch.no_grad():
-        _, novelty = place.gamma(fresh.percept, fresh.control)
-    assert float((novelty <= place.most_novel).float().mean()) > 0.9
-
-
-def test_a_rollout_that_leaves_the_data_fails(knowledge: Knowledge) -> None:
-    """Driving back, again and again, the robot comes to where no data are."""
-    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 1, seeded(0))
-    lanes = start_lanes(place, torch.arange(4), 0, 0)
-    back = torch.tensor([-1.2, 0.0, 0.0]).repeat(4, 1)
-    lost = [place.lost(lanes)]
-    for _ in range(6):
-        before = lanes
-        lanes, moved = place.step(lanes, back)
-        lost.append(place.lost(lanes))
-        assert (lost[-1] | ~lost[-2]).all()  # for good
-        assert torch.equal(lanes.percept[lost[-2]], before.percept[lost[-2]])
-        assert not moved[lost[-2]].any()
-        assert (place.success(lanes)[1][lost[-1]] == 0).all()
-    assert not lost[0].any()
-    assert lost[-1].all()
-
-
-def test_obstacles_that_are_not_there_are_never_imagined() -> None:
-    table = Reaching(robot=BASE, tabletop="yaw", obstacles=1)
-    knowledge = fitted_to(collect(Scenes(table.world, "general-clutter"), 80, 120, seeded(0)))
-    percepts = first_percepts(table.world(cluttered_scenarios(12, seeded(1))))
-    there = (percepts[:, 9:] != 0).any(1)
-    assert 0 < int(there.sum()) < 12
-    place = table.models(table).imagine(knowledge, percepts, 1, seeded(2))
-    assert place.errors is not None
-    assert place.errors[:, :, :9].abs().amin(2).gt(0).all()
-    lanes = start_lanes(place, torch.arange(12), 0, 0)
-    for _ in range(3):
-        lanes, _ = place.step(lanes, torch.tensor([[0.01, 0.0, 0.2]]).repeat(12, 1))
-    assert torch.equal((lanes.percept[:, 9:] != 0).any(1), there)
-
-
-def test_imagining_leaves_the_models_alone(knowledge: Knowledge) -> None:
-    before = {k: v.clone() for k, v in knowledge.gamma.state_dict().items()}
-    place = TABLE_MODELS.imagine(knowledge, PERCEPTS, 1, seeded(0))
-    assert place.classifier is not knowledge.classifier
-    assert all(torch.equal(v, before[k]) for k, v in knowledge.gamma.state_dict().items())
-
-
-def test_learning_adds_rows_at_the_end(setup: Setup, knowledge: Knowledge) -> None:
-    scenarios = random_scenarios("near", 30, seeded(1))
-    experience = try_skill(nearly(0.3), setup.world_of(scenarios)).experience
-    after = learn_more(knowledge, experience, seeded(2))
-    assert after.acceptances is not None
-    gained = [
-        (len(after.dataset.percept) - len(knowledge.dataset.percept), MOST_NEW),
-        (len(after.aside.percept) - len(knowledge.aside.percept), MOST_NEW // ASIDE),
-    ]
-    for old, new in ((knowledge.dataset, after.dataset), (knowledge.aside, after.aside)):
-        for name, rows in vars(old).items():
-            assert torch.equal(vars(new)[name][: len(rows)], rows)
-    if after.acceptances[0].accepted:
-        assert sum(rows for rows, _ in gained) == min(MOST_NEW, len(experience.percept)) > 0
-        assert gained[1][0] <= gained[1][1]
-    assert after.gamma_report is knowledge.gamma_report
-    assert (after.classifier is not knowledge.classifier) == after.acceptances[1].accepted
-
-
-def test_a_tenth_is_never_fitted_on() -> None:
-    data = collect(Scenes(world_of), 60, 90, seeded(0))
-    fitted, aside = hold_out(data)
-    assert len(aside.percept) == 6
-    assert len(aside.succeeded) == pytest.approx(len(data.succeeded) / ASIDE, abs=1)
-    together = torch.cat([fitted.percept, aside.percept])
-    assert torch.equal(together.sort(0).values, data.percept.sort(0).values)
-    assert not (torch.cdist(fitted.percept, aside.percept) == 0).any()
-
-
-def _tables(knowledge: Knowledge, data: Dataset) -> float:
-    """Γ's mean error on the table."""
-    with torch.no_grad():
-        answer = knowledge.gamma(data.percept, data.control)
-    return float((answer - data.next_percept).abs()[:, :4].mean())
-
-
-def _brier(knowledge: Knowledge, data: Dataset) -> float:
-    with torch.no_grad():
-        chance = knowledge.classifier(data.tested)
-    return float((chance - data.succeeded.float()).square().mean())
-
-
-def _is_known(data: Dataset) -> tuple[Tensor, Tensor]:
-    """Transitions with objects far from the table's centre, and grasps to the left."""
-    centre = torch.stack([data.percept[:, 0:2].mean(1), data.percept[:, 2:4].mean(1)], 1)
-    return (data.percept[:, 4:6] - centre).norm(dim=1) > 0.48, data.tested[:, 5] > 0
-
-
-def _known(data: Dataset) -> Dataset:
-    return taken(data, *_is_known(data))
-
-
-def _new(data: Dataset) -> Dataset:
-    moves, grasps = _is_known(data)
-    return taken(data, ~moves, ~grasps)
-
-
-@pytest.fixture(scope="module")
-def half() -> Knowledge:
-    """What is known after half of the world has been seen."""
-    return fitted_to(_known(collect(Scenes(world_of), 700, 600, seeded(6))))
-
-
-def test_poisoned_data_are_refused_and_leave_everything_as_it_was(
-    half: Knowledge, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("most", "worse"), [(60, 1.6), (5000, 1.0)])
+def test_good_data_are_taken(
+    known: Knowledge, monkeypatch: pytest.MonkeyPatch, most: int, worse: float
 ) -> None:
-    # As many as are known: the regression passes over what is wrong in a small share of the rows.
-    monkeypatch.setattr("cgtorch.domains.knowledge.MOST_NEW", 700)
-    honest = _known(collect(Scenes(world_of), 1200, 500, seeded(5)))
-    mirrored = honest.control * torch.tensor([1, 1, -1])  # a gyroscope mounted upside down
-    poisoned = replace(honest, control=mirrored, succeeded=~honest.succeeded)
-    after = learn_more(half, poisoned, seeded(1))
+    """New rows follow the old ones, or a coreset of them where these are too many."""
+    for name in ("MOST_TRANSITIONS", "MOST_LABELS"):
+        monkeypatch.setattr(learned, name, most)
+    new, fresh = (driven(300, 300, s) for s in (3, 4))
+    after = learn_more(known, new, seeded(5))
     assert after.acceptances is not None
-    assert [v.accepted for v in after.acceptances] == [False, False]
-    assert all(v.after > v.before and "refused" in v.reason for v in after.acceptances)
-    assert after.gamma is half.gamma
-    assert after.swift is half.swift
-    assert after.classifier is half.classifier
-    for old, new in ((half.dataset, after.dataset), (half.aside, after.aside)):
-        assert all(torch.equal(rows, vars(new)[name]) for name, rows in vars(old).items())
+    assert all(a.accepted for a in after.acceptances)
+    assert errors(after, fresh) < worse * errors(known, fresh)
+    assert after.gamma_report is known.gamma_report
+    for name, rows in vars(known.aside).items():
+        assert torch.equal(vars(after.aside)[name][: len(rows)], rows)
+    gained = [len(vars(d).get("percept")) for d in (known.aside, after.aside)]
+    assert 0 < gained[1] - gained[0] <= MOST_NEW // ASIDE
+    new_rows = MOST_NEW - (gained[1] - gained[0])
+    kept = min(most, len(known.dataset.percept))
+    assert len(after.dataset.percept) == kept + new_rows
+    if most > kept:
+        for name, rows in vars(known.dataset).items():
+            assert torch.equal(vars(after.dataset)[name][: len(rows)], rows)
 
 
-def test_good_data_are_taken_and_better_where_they_are_new(half: Knowledge) -> None:
-    new = _new(collect(Scenes(world_of), 400, 600, seeded(10)))
-    fresh = collect(Scenes(world_of), 900, 900, seeded(7))
-    after = learn_more(half, new, seeded(8))
-    assert after.acceptances is not None
-    assert all(v.accepted for v in after.acceptances)
-    assert _tables(after, _new(fresh)) < 0.9 * _tables(half, _new(fresh))
-    assert _brier(after, _new(fresh)) < 0.9 * _brier(half, _new(fresh))
-    assert _tables(after, _known(fresh)) < 1.05 * _tables(half, _known(fresh))
-    assert _brier(after, _known(fresh)) < 1.2 * _brier(half, _known(fresh))
-
-
-def test_too_many_rows_become_a_coreset(
-    knowledge: Knowledge, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("cgtorch.domains.knowledge.MOST_TRANSITIONS", 80)
-    monkeypatch.setattr("cgtorch.domains.knowledge.MOST_LABELS", 90)
-    experience = collect(Scenes(world_of), 60, 60, seeded(5))
-    after = learn_more(knowledge, experience, seeded(1))
-    assert after.acceptances is not None
-    rows = [len(after.dataset.percept), len(after.dataset.succeeded)]
-    most = [80 + 54, 90 + 55]  # a tenth of what is new is held out
-    for had, limit, acceptance in zip(rows, most, after.acceptances, strict=True):
-        assert acceptance.accepted
-        assert had <= limit
-    fresh = collect(Scenes(world_of), 200, 0, seeded(9))
-    assert _tables(after, fresh) < 1.2 * _tables(knowledge, fresh)
-
-
-def test_nothing_experienced_changes_nothing_much(knowledge: Knowledge) -> None:
-    nothing = Dataset(*(rows[:0] for rows in vars(knowledge.dataset).values()))
-    after = learn_more(knowledge, nothing, seeded(0))
-    data = knowledge.dataset
-    assert torch.allclose(
-        after.gamma(data.percept, data.control),
-        knowledge.gamma(data.percept, data.control),
-        atol=0.01,
-    )
+def test_nothing_experienced_changes_nothing_much(known: Knowledge) -> None:
+    data = known.dataset
+    after = learn_more(known, Dataset(*(rows[:0] for rows in vars(data).values())), seeded(0))
+    said = (each.gamma(data.percept, data.control) for each in (after, known))
+    torch.testing.assert_close(*said, atol=0.01, rtol=0)
     assert len(after.dataset.percept) == len(data.percept)
+
+
+def test_few_rows_are_all_fitted_anew(known: Knowledge) -> None:
+    """With hyper-parameters of their own, and errors that are cross-validated again."""
+    new, fresh = (driven(300, 300, s) for s in (3, 4))
+    after = models_of(Cart()).learn(known, new, seeded(5))
+    assert after.acceptances is None
+    rows = len(after.dataset.percept), len(after.dataset.tested)
+    assert rows == (after.gamma_report.rows, after.classifier_report.rows)
+    assert rows == pytest.approx((540, 540), abs=2)
+    assert rows[0] + len(after.aside.percept) == rows[1] + len(after.aside.tested) == 600
+    assert errors(after, fresh) < errors(known, fresh)
+    assert sum(after.gamma_report.error) < sum(known.gamma_report.error)
+
+
+def errors(knowledge: Knowledge, data: Dataset) -> float:
+    gamma = knowledge.gamma
+    with torch.no_grad():
+        return float(gamma.errors(gamma(data.percept, data.control), data.next_percept).mean())
+
+
+def test_wrong_data_are_refused_and_leave_everything_as_it_was(
+    known: Knowledge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learned, "MOST_NEW", 300)
+    new = driven(300, 300, 3)
+    wrong = replace(new, control=-new.control, succeeded=~new.succeeded)
+    after = learn_more(known, wrong, seeded(5))
+    assert after.acceptances is not None
+    for each in after.acceptances:
+        assert not each.accepted
+        assert each.after > each.before
+        assert "refused" in each.reason
+    for name in ("gamma", "swift", "classifier"):
+        assert getattr(after, name) is getattr(known, name)
+    for old, now in ((known.dataset, after.dataset), (known.aside, after.aside)):
+        assert all(torch.equal(rows, vars(now)[name]) for name, rows in vars(old).items())
+
+
+def test_errors_of_an_angle_go_the_shorter_way() -> None:
+    gamma = models_of(Cart())._transition_model()
+    one, other = torch.zeros(1, 4), torch.zeros(1, 4)
+    one[:, LAMP], other[:, LAMP] = 3.0, -3.0
+    assert gamma.difference(one, other)[0, LAMP].item() == pytest.approx(2 * torch.pi - 6, abs=1e-6)
+    assert gamma.difference(other, one)[0, LAMP].item() == pytest.approx(6 - 2 * torch.pi, abs=1e-6)
 
 
 @given(st.integers(0, 30), st.integers(0, 20), st.integers(0, 2**31))
@@ -274,33 +138,177 @@ def test_samples(most: int, odd: int, seed: int) -> None:
     assert torch.equal(some.succeeded, grasps % 2 == 0)
 
 
-@given(
-    st.lists(st.booleans(), min_size=1, max_size=12).filter(any),
-    st.integers(1, 15),
-    st.integers(0, 2**31),
-)
-def test_local_groups(missed: list[bool], size: int, seed: int) -> None:
-    percepts = torch.randn(len(missed), 7, generator=seeded(seed))
-    group = local_group(percepts, torch.tensor(missed), size, seeded(seed)).tolist()
-    rows = [i for i, m in enumerate(missed) if m]
-    assert set(group) <= set(rows)
-    assert len(group) == len(set(group)) == min(size, len(rows))
-    # Its first is the one it was made around: nobody outside is nearer than anybody within.
-    distance = (percepts - percepts[group[0]]).norm(dim=1).tolist()
-    outside = [distance[i] for i in rows if i not in group]
-    assert max(distance[i] for i in group) <= min(outside, default=float("inf")) + 1e-4
+COUNTS = st.integers(0, 40) | st.integers(SPARE - 12, SPARE + 12) | st.integers(FEW - 12, FEW + 12)
 
 
-def test_any_missed_scenario_may_be_the_middle_of_a_group() -> None:
-    percepts, missed = torch.eye(6, 7), torch.tensor([True, False, True, True, False, True])
-    found = {int(local_group(percepts, missed, 1, seeded(s))[0]) for s in range(60)}
-    assert found == {0, 2, 3, 5}
+class Counting(Models[Any]):
+    """Models that note what it is asked to fit to."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.fits: list[tuple[Dataset, int]] = []
+
+    def fit_success(self, data: Dataset, seed: int) -> tuple[Any, Any]:
+        self.fits.append((data, seed))
+        return None, None
+
+    def fit_transition(self, data: Dataset, seed: int) -> tuple[Any, Any]:
+        self.fits.append((data, seed))
+        few = SimpleNamespace(centres=[])
+        return SimpleNamespace(machine=few), None
 
 
-def test_trials_meet_other_noise(setup: Setup) -> None:
-    scenarios = random_scenarios("near", 40, seeded(3))
-    seeds = torch.cat([scenarios.with_noise(i).seed for i in range(3)])
-    assert torch.equal(scenarios.with_noise(0).seed, scenarios.seed)
-    assert len(set(seeds.tolist())) == 120
-    first = [first_percepts(setup.world_of(scenarios.with_noise(i))) for i in range(2)]
-    assert 0 < float((first[0] - first[1]).abs().max()) < 0.06
+def numbered(transitions: int, tests: int, begin: int = 0) -> Dataset:
+    """Rows that say which they are."""
+    p, t = (torch.arange(begin, begin + n).float()[:, None] for n in (transitions, tests))
+    return Dataset(p, p, p, t, t[:, 0] % 2 == 0)
+
+
+def rows_in(data: Dataset) -> tuple[list[int], list[int]]:
+    assert torch.equal(data.percept, data.control)
+    assert torch.equal(data.percept, data.next_percept)
+    assert torch.equal(data.succeeded, data.tested[:, 0] % 2 == 0)
+    return data.percept[:, 0].int().tolist(), data.tested[:, 0].int().tolist()
+
+
+def knowing(dataset: Dataset, aside: Dataset) -> Knowledge:
+    nothing: Any = None
+    return Knowledge(dataset, nothing, nothing, nothing, nothing, nothing, aside)
+
+
+@pytest.fixture(scope="module")
+def more() -> Iterator[list[tuple[Any, ...]]]:
+    """What is learned in addition to what stays."""
+    with pytest.MonkeyPatch.context() as patch:
+        given_: list[tuple[Any, ...]] = []
+        patch.setattr(learned, "learn_more", lambda *about: given_.append(about) or "more")
+        yield given_
+
+
+@given(COUNTS, COUNTS, st.integers(0, 99))
+def test_a_tenth_is_held_out_as_soon_as_it_can_be_spared(
+    transitions: int, tests: int, seed: int
+) -> None:
+    domain: Any = Counting()
+    data = numbered(transitions, tests)
+    found = domain.fit(data, seed)
+    assert found.gamma is found.swift
+    assert [s for _, s in domain.fits] == [seed, seed]
+    assert all(fitted is found.dataset for fitted, _ in domain.fits)
+    many = max(transitions, tests) >= SPARE
+    rows = rows_in(found.dataset), rows_in(found.aside)
+    for whole, kept, aside in zip((transitions, tests), *rows, strict=True):
+        assert sorted(kept + aside) == [*range(whole)]
+        assert kept == sorted(kept)
+        assert len(aside) == (pytest.approx(whole / ASIDE, abs=2) if many else 0)
+    assert found.acceptances is None
+
+
+@given(st.tuples(*[COUNTS] * 6), st.integers(0, 2**31))
+def test_few_rows_are_fitted_anew_and_to_many_more_are_added(
+    more: list[tuple[Any, ...]], counts: tuple[int, ...], seed: int
+) -> None:
+    domain: Any = Counting()
+    more.clear()
+    before = knowing(numbered(*counts[:2]), numbered(*counts[2:4], begin=2000))
+    experience, generator = numbered(*counts[4:], begin=4000), seeded(seed)
+    after: Any = domain.learn(before, experience, generator)
+    moves, tests = (sum(counts[i::2]) for i in (0, 1))
+    if max(moves, tests) >= FEW:
+        assert after == "more"
+        assert not domain.fits
+        ((same, new, drawn),) = more
+        assert same is before
+        assert new is experience
+        assert drawn is generator
+        return
+    assert not more
+    assert len(domain.fits) == 2
+    assert len({s for _, s in domain.fits}) == 1
+    every = rows_in(before.dataset), rows_in(before.aside), rows_in(experience)
+    for i, (kept, aside) in enumerate(
+        zip(rows_in(after.dataset), rows_in(after.aside), strict=True)
+    ):
+        assert sorted(kept + aside) == sorted(row for part in every for row in part[i])
+
+
+def test_what_is_held_out_leaves_c_enough_to_learn_from() -> None:
+    """Three successes among 300 tests, two of which would be held out."""
+    data = driven(40, 900, 0)
+    yes, no = data.tested[data.succeeded], data.tested[~data.succeeded]
+    order = torch.arange(300)
+    met = (order == ASIDE - 1) | (order == 2 * ASIDE - 1) | (order == 100)
+    tested = no[:300].clone()
+    tested[met] = yes[:3]
+    rare = Dataset(data.percept, data.control, data.next_percept, tested, met)
+    found = models_of(Cart()).fit(rare, 0)
+    assert int(found.dataset.succeeded.sum()) >= 2
+
+
+def with_numbers(known: Knowledge, *numbers: tuple[str, float, str]) -> Knowledge:
+    """The same with other names, errors and units of a percept."""
+    names, errors, units = zip(*numbers, strict=True)
+    report: Any = replace(
+        known.gamma_report,
+        coordinates=names,
+        error=errors,
+        baseline_error=(4.0,) * len(names),
+        units=units,
+    )
+    return replace(known, gamma_report=report)
+
+
+def test_first_models_are_told_of_with_their_errors(known: Knowledge) -> None:
+    told = summary_of(with_numbers(known, ("lamp", 0.1234, "rad"), ("gear", 2.0, "")))
+    right = 100 * known.classifier_report.balanced_accuracy
+    assert told.text == (
+        f"Γ errs by 2 on gear, 0.12 rad on lamp, the balanced accuracy of C is {right:.1f} %; "
+        f"{len(known.dataset.percept)} transitions and {len(known.dataset.tested)} labels"
+    )
+    assert told.first
+    assert told.curves == {
+        "gamma": known.gamma_report.learning_curve,
+        "classifier": known.classifier_report.learning_curve,
+    }
+    assert told.reliability == known.classifier_report.reliability
+
+
+@given(st.integers(1, 20))
+def test_of_many_numbers_some_are_told(known: Knowledge, count: int) -> None:
+    told = summary_of(with_numbers(known, *((f"x{i}", 1.0, "m") for i in range(count))))
+    assert told.text.count(" m on x") == min(count, SHOWN)
+    others = f" and less on {count - SHOWN} others (see TensorBoard), the balanced"
+    assert (others in told.text) == (count > SHOWN)
+    assert "\n" not in told.text
+
+
+def test_scalars_have_tags_without_spaces(known: Knowledge) -> None:
+    scalars = scalars_of(with_numbers(known, ("object x", 0.5, "m"), ("gear", 2.0, "")))
+    assert scalars["gamma/error_object_x"] == 0.5
+    assert scalars["gamma/error_gear"] == 2.0
+    assert scalars["models/rows"] == len(known.dataset.percept)
+    report = known.classifier_report
+    assert scalars["classifier/balanced_accuracy"] == report.balanced_accuracy
+    assert scalars["classifier/calibration_error"] == report.calibration_error
+    assert len(scalars) == 5
+    assert not any(" " in tag for tag in scalars)
+
+
+@pytest.mark.parametrize("gamma", [True, False])
+@pytest.mark.parametrize("classifier", [True, False])
+def test_later_it_is_told_what_was_accepted(
+    known: Knowledge, gamma: bool, classifier: bool
+) -> None:
+    accepted = tuple(Acceptance(yes, 9, 0.25, 0.5, 0.125) for yes in (gamma, classifier))
+    told = summary_of(replace(known, acceptances=accepted))
+    said = {
+        True: "{} was trained on more data",
+        False: "{} stays as it was, since its error on earlier data would be 0.5000 instead of "
+        "0.2500",
+    }
+    assert told.text == (
+        f"{said[gamma].format('Γ')}; {said[classifier].format('C')}; now from {rows_of(known)}"
+    )
+    assert not told.first
+    assert told.scalars == {"models/rows": len(known.dataset.percept)}
+    assert not told.curves

@@ -23,11 +23,11 @@ MOVES = DATA.percept, DATA.control, DATA.next_percept
 TESTS = DATA.tested, DATA.succeeded
 
 
-def gamma_of(rows: int, domain: Cart | None = None) -> TransitionModel:
+def gamma_of(rows: int, domain: Cart | None = None, tube: float = 0.05) -> TransitionModel:
     model = models_of(domain or Cart())._transition_model()
     some = (a[:rows] for a in MOVES)
     return fit_transition_model(
-        model, *some, grid=Grid([10.0], [1.0], [0.05], 600), dtype=torch.float64
+        model, *some, grid=Grid([10.0], [1.0], [tube], 600), dtype=torch.float64
     )[0]
 
 
@@ -132,3 +132,17 @@ def test_what_is_compact_says_nearly_the_same() -> None:
         lost.append(float((less(FRESH.tested) - classifier(FRESH.tested)).abs().mean()))
     assert lost == sorted(lost, reverse=True)
     assert lost[-1] < 1e-6  # it keeps all that there are
+
+
+def test_rows_that_are_no_support_vectors_change_nothing() -> None:
+    """They may be left out, and the rows left out are predicted no worse."""
+    gamma = gamma_of(300, tube=0.5)
+    kept, start = gamma.coreset(*MOVES, limit=len(gamma.machine.centres) + 5)
+    assert len(kept) < 300
+    asked = FRESH.percept, FRESH.control
+    torch.testing.assert_close(start(*asked), gamma(*asked), atol=1e-9, rtol=0)  # it has them all
+    after = start.updated(*(a[kept] for a in MOVES))
+    assert error(after) < 1.02 * error(gamma)
+    out = torch.ones(300, dtype=torch.bool).index_fill(0, kept, False)
+    left = Dataset(*(a[out] for a in MOVES), *TESTS)
+    assert error(after, left) < error(gamma, left) + 0.01

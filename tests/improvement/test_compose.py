@@ -16,7 +16,13 @@ from cgtorch.graphs import ActionSet, Skill, from_networkx, load_skill, same_beh
 from cgtorch.graphs.view import View
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import ActionError
-from cgtorch.improvement.compose import branching_action, compose, fewest_members, specialists_of
+from cgtorch.improvement.compose import (
+    branching_action,
+    compose,
+    fewest_members,
+    local_group,
+    specialists_of,
+)
 from cgtorch.improvement.gating import selected_members, train_gating
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import Detect, Grasp, MoveBase, paper_actions
@@ -182,3 +188,26 @@ def test_specialists_are_the_innermost_skills() -> None:
     assert specialists_of(a) == ()
     assert {s.name: s for s in specialists_of(first)} == {a.name: a, b.name: b}
     assert {s.name: s for s in specialists_of(second)} == {m.name: m for m in (a, b, c)}
+
+
+@given(
+    st.lists(st.booleans(), min_size=1, max_size=12).filter(any),
+    st.integers(1, 15),
+    st.integers(0, 2**31),
+)
+def test_local_groups(missed: list[bool], size: int, seed: int) -> None:
+    percepts = torch.randn(len(missed), 7, generator=seeded(seed))
+    group = local_group(percepts, torch.tensor(missed), size, seeded(seed)).tolist()
+    rows = [i for i, m in enumerate(missed) if m]
+    assert set(group) <= set(rows)
+    assert len(group) == len(set(group)) == min(size, len(rows))
+    # Its first is the one it was made around: nobody outside is nearer than anybody within.
+    distance = (percepts - percepts[group[0]]).norm(dim=1).tolist()
+    outside = [distance[i] for i in rows if i not in group]
+    assert max(distance[i] for i in group) <= min(outside, default=float("inf")) + 1e-4
+
+
+def test_any_missed_scenario_may_be_the_middle_of_a_group() -> None:
+    percepts, missed = torch.eye(6, 7), torch.tensor([True, False, True, True, False, True])
+    found = {int(local_group(percepts, missed, 1, seeded(s))[0]) for s in range(60)}
+    assert found == {0, 2, 3, 5}

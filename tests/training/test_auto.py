@@ -53,12 +53,16 @@ def prepared(
 Made = tuple[StoredRun, list[Event], list[dict[str, Any]]]
 
 
+def rounds_of(run: StoredRun, goal: Goal) -> Made:
+    """A run with what is told of its rounds, and their results."""
+    events: list[Event] = []
+    return run, events, train_until(Training(run, events.append, quietly), goal)
+
+
 @pytest.fixture(scope="module")
 def made(trained: Trained, tmp_path_factory: pytest.TempPathFactory) -> Made:
     """A run of two rounds, from the start on."""
-    run = prepared(trained, tmp_path_factory.mktemp("auto") / "run", attempts=2)
-    events: list[Event] = []
-    return run, events, train_until(Training(run, events.append, quietly), GOAL)
+    return rounds_of(prepared(trained, tmp_path_factory.mktemp("auto") / "run", attempts=2), GOAL)
 
 
 def test_rounds_are_stages_of_the_run(made: Made) -> None:
@@ -71,6 +75,17 @@ def test_rounds_are_stages_of_the_run(made: Made) -> None:
     ended = logged(run.folder, "ended")[-1]
     assert ended["reached"] == reached(GOAL, results)
     assert ended["target"] == GOAL.target
+    told = [e for e in events if isinstance(e, FreshTested) and not e.decisive]
+    assert [(e.stage, e.skill, e.succeeded, e.tried) for e in told] == [
+        (r["stage"], r["skill"], r["fresh"]["succeeded"], r["fresh"]["tried"]) for r in results
+    ]
+    for result in results:
+        assert result["practice"] == run.settings.practice == 4
+        assert 0 <= result["in_a_row"] <= 4
+    with pytest.raises(
+        RunError, match="cannot make a single stage any more; continue with stage 'auto'"
+    ):
+        train(Training(run, ignore, quietly), "S0")
 
 
 def practised(events: list[Event], name: str) -> int:
@@ -107,12 +122,6 @@ def test_every_round_keeps_w_and_what_it_saw(made: Made) -> None:
     assert torch.unique(progress.solved.object, dim=0).shape[0] == before
 
 
-def test_a_rounds_result_says_how_it_practised(made: Made) -> None:
-    run, _, results = made
-    assert all(r["practice"] == run.settings.practice == 4 for r in results)
-    assert all(0 <= r["in_a_row"] <= 4 for r in results)
-
-
 def test_what_was_asked_adds_up_over_the_rounds(made: Made) -> None:
     """Tests on fresh scenarios ask a simulated world only; a robot is not asked for them."""
     run, events, results = made
@@ -127,43 +136,17 @@ def test_what_was_asked_adds_up_over_the_rounds(made: Made) -> None:
     assert {"looks", "practice"} <= set(spent)
 
 
-def test_fresh_placements_are_told(made: Made) -> None:
-    _, events, results = made
-    told = [e for e in events if isinstance(e, FreshTested) and not e.decisive]
-    assert [(e.stage, e.skill, e.succeeded, e.tried) for e in told] == [
-        (r["stage"], r["skill"], r["fresh"]["succeeded"], r["fresh"]["tried"]) for r in results
-    ]
-
-
-TIMED = {"seconds": 0, "search_seconds": 0}
-
-
-def same_as(made: Made, folder: Path, results: list[dict[str, Any]]) -> None:
-    """The run in a folder came to the same results, also in what it asked, and the same files."""
-    assert [r | TIMED for r in results] == [r | TIMED for r in made[2]]
-    for name in ("skill.json", "scenarios.json", "data.safetensors", "seen.safetensors"):
-        was = (made[0].folder / "auto-2" / name).read_bytes()
-        assert (folder / "auto-2" / name).read_bytes() == was
-
-
-def in_its_second_round(made: Made, folder: Path) -> Path:
-    """A copy of the run that has lost its second round."""
-    shutil.copytree(made[0].folder, folder, ignore=shutil.ignore_patterns("auto-2"))
-    return folder
-
-
-def test_a_run_goes_on_from_its_last_round(made: Made, tmp_path: Path) -> None:
-    """A run that lost its second round makes the same again."""
-    folder = in_its_second_round(made, tmp_path / "run")
-    same_as(made, folder, train_until(Training(read_run(folder), ignore, quietly), GOAL))
-
-
 def test_a_round_that_is_interrupted_asks_no_more_than_one_that_is_not(
     made: Made, tmp_path: Path
 ) -> None:
-    """It is stopped after each trial in turn; what the journal has is not asked again."""
-    folder = in_its_second_round(made, tmp_path / "run")
-    wanted = [e for e in made[1] if isinstance(e, WorldAsked) and e.stage == "auto-2"]
+    """It is stopped after each trial in turn; what the journal has is not asked again.
+
+    It ends as the one that was not, from the first round on: the same results and files.
+    """
+    run, events, results = made
+    folder = tmp_path / "run"
+    shutil.copytree(run.folder, folder, ignore=shutil.ignore_patterns("auto-2"))
+    wanted = [e for e in events if isinstance(e, WorldAsked) and e.stage == "auto-2"]
     asked: list[WorldAsked] = []
     for _ in wanted:
 
@@ -175,10 +158,14 @@ def test_a_round_that_is_interrupted_asks_no_more_than_one_that_is_not(
         with pytest.raises(KeyboardInterrupt):
             train_until(Training(read_run(folder), stop, quietly), GOAL)
     assert asked == wanted
-    events: list[Event] = []
-    same_as(made, folder, train_until(Training(read_run(folder), events.append, quietly), GOAL))
-    again = [e for e in events if isinstance(e, WorldAsked)]
+    _, told, found = rounds_of(read_run(folder), GOAL)
+    again = [e for e in told if isinstance(e, WorldAsked)]
     assert again == [replace(e, recalled=True) for e in wanted]
+    timed = {"seconds": 0, "search_seconds": 0}
+    assert [r | timed for r in found] == [r | timed for r in results]
+    for name in ("skill.json", "scenarios.json", "data.safetensors", "seen.safetensors"):
+        was = (run.folder / "auto-2" / name).read_bytes()
+        assert (folder / "auto-2" / name).read_bytes() == was
 
 
 def test_without_time_or_rounds_nothing_is_begun(made: Made) -> None:
@@ -187,13 +174,6 @@ def test_without_time_or_rounds_nothing_is_begun(made: Made) -> None:
     for goal in (Goal(target=0.95, minutes=0), GOAL, Goal(target=0.95, rounds=1)):
         assert train_until(Training(run, events.append, quietly), goal) == results
     assert events == []
-
-
-def test_a_run_with_rounds_has_no_further_stages(made: Made) -> None:
-    with pytest.raises(
-        RunError, match="cannot make a single stage any more; continue with stage 'auto'"
-    ):
-        train(Training(made[0], ignore, quietly), "S0")
 
 
 def test_rounds_go_on_after_stages_and_end_at_the_goal(trained: Trained, tmp_path: Path) -> None:
@@ -271,36 +251,29 @@ def test_acting_ends_where_enough_was_missed(
     assert score.tried == len(score.scenarios) == tried
     assert score.successes == 0
     assert len(score.scenarios.seed.unique()) == tried
-    assert torch.equal(score.percepts, first_percepts(made[0].domain.world(score.scenarios)))
+    world = made[0].domain.world(score.scenarios)
+    assert torch.equal(score.percepts, first_percepts(world))
+    skill = last_skill(made[0].folder)[1]
+    some = act(made[0], skill, 20, seeded(3))
+    again = try_skill(skill, made[0].domain.world(some.scenarios))
+    assert torch.equal(some.succeeded, again.succeeded)
+    assert torch.equal(some.percepts, again.percepts)
 
 
-def test_acting_is_trying_in_the_world(made: Made) -> None:
-    run, _, _ = made
-    skill = last_skill(run.folder)[1]
-    score = act(run, skill, 20, seeded(3))
-    again = try_skill(skill, run.domain.world(score.scenarios))
-    assert torch.equal(again.succeeded, score.succeeded)
-    assert torch.equal(again.percepts, score.percepts)
+def test_rounds_on_tables_of_any_kind(tmp_path: Path) -> None:
+    """Everything is drawn from the run's scenarios, and all of a skill reads all of a percept.
 
-
-@pytest.fixture(scope="module")
-def wide(tmp_path_factory: pytest.TempPathFactory) -> Made:
-    """A round on tables of any kind with things in the way, seen from their edges.
-
-    So small a search finds nothing under some seeds.
+    There are things in the way, which are seen from their edges.
     """
-    many = replace(SMALL, scenarios="general-clutter", population=100, generations=30)
-    for seed in range(8):
-        run = create_run(tmp_path_factory.mktemp("wide") / "run", replace(many, seed=seed))
-        events: list[Event] = []
+    settings = replace(SMALL, scenarios="general-clutter", population=100, generations=30)
+    wide = None
+    for seed in range(8):  # so small a search finds nothing under some seeds
+        folder = tmp_path / str(seed)
         with suppress(NotImprovedError):
-            training = Training(run, events.append, quietly)
-            return run, events, train_until(training, Goal(target=0.5, rounds=1))
-    raise AssertionError("no seed has found a skill")
-
-
-def test_rounds_on_tables_of_any_kind(wide: Made) -> None:
-    """Everything is drawn from the run's scenarios, and all of a skill reads all of a percept."""
+            made = create_run(folder, replace(settings, seed=seed))
+            wide = rounds_of(made, Goal(target=0.5, rounds=1))
+            break
+    assert wide is not None, "no seed has found a skill"
     run, _, results = wide
     assert {results[0][name]["scenarios"] for name in ("fresh", "overall")} == {"general-clutter"}
     again, skill = last_skill(run.folder)
@@ -315,16 +288,13 @@ def test_rounds_on_tables_of_any_kind(wide: Made) -> None:
         assert len(scenarios.table[:, 2:].unique(dim=0)) == len(scenarios) > 0
         succeeded = try_skill(skill, again.domain.world(scenarios)).succeeded
         assert succeeded.eq(solved).all()
-
-
-def test_tables_of_any_kind_have_no_stages(wide: Made) -> None:
     with pytest.raises(SettingsError, match="use stage 'auto'"):
-        train(Training(wide[0], ignore, quietly), "S0")
+        train(Training(run, ignore, quietly), "S0")
 
 
 def test_what_a_robots_world_was_asked_before_a_kill_is_not_asked_again(tmp_path: Path) -> None:
     """Nothing repeats itself there, so the rest of the round is another one; counts go on."""
-    settings = replace(SMALL, attempts=8)
+    settings = replace(SMALL, attempts=3)
     run = create_run(tmp_path / "run", settings, TabletopSettings(noise="fresh"))
     told, again = list[WorldAsked](), list[Event]()
 

@@ -1,7 +1,5 @@
-"""What improvement gets of a run's settings, and the models that a run begins with."""
+"""What improvement and evolution get of a run's settings."""
 
-import itertools
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -10,25 +8,18 @@ from typing import Any
 import pytest
 import torch
 from reaching import TABLE
-from support import create_run
-from told_by_runs import asked_at_start
-from trained import SMALL
+from support import seeded
 from walking import Walking
 
-from cgtorch.domains.exploration import EXPLORATION
-from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
-from cgtorch.improvement.events import Event, ModelsFitted, WorldAsked
+from cgtorch.evolution import EvolutionSettings, lexicase
+from cgtorch.ground.asked import Purse
+from cgtorch.improvement.events import Event
 from cgtorch.runs.settings import RunSettings
-from cgtorch.runs.storage import load_progress
-from cgtorch.runs.stored_run import StoredRun, read_run
-from cgtorch.simulation import Recording
+from cgtorch.runs.stored_run import StoredRun
 from cgtorch.tabletop.actions import paper_actions
-from cgtorch.tabletop.settings import TabletopSettings
-from cgtorch.training.context import Training
-from cgtorch.training.start import initial_progress, recall_spent
+from cgtorch.training.context import Training, evolution_settings
 
 RUN = StoredRun(Path("none"), RunSettings(), TABLE, paper_actions())
-BRIEF = SMALL
 
 
 def ignore(event: Event) -> None:
@@ -68,102 +59,13 @@ def test_all_that_is_asked_is_paid_from_one_purse() -> None:
     assert training.setup("S0").purse is training.purse
 
 
-def explored(folder: Path, **limits: float) -> tuple[StoredRun, list[Event]]:
-    """A run with its first models only."""
-    run, events = create_run(folder, BRIEF), list[Event]()
-    initial_progress(
-        Training(run, events.append, lambda message: nullcontext(), purse=Purse(limits))
-    )
-    return run, events
+def test_only_the_method_of_the_paper_selects_by_tournament() -> None:
+    def evolution_of(**values: Any) -> EvolutionSettings:
+        return evolution_settings(replace(RUN, settings=RunSettings(**values)))
 
-
-@pytest.fixture(scope="module")
-def begun(tmp_path_factory: pytest.TempPathFactory) -> tuple[StoredRun, list[Event]]:
-    """A run that was not interrupted."""
-    return explored(tmp_path_factory.mktemp("begun") / "run")
-
-
-def test_the_first_data_are_counted_and_told(begun: tuple[StoredRun, list[Event]]) -> None:
-    run, (asked, fitted) = begun
-    assert isinstance(asked, WorldAsked)
-    assert isinstance(fitted, ModelsFitted)
-    assert (asked.stage, asked.phase, fitted.stage) == ("start", EXPLORATION, "start")
-    assert asked_at_start(run.folder) == {EXPLORATION: vars(asked.asked)}
-    known = load_progress(run, run.folder / "start").knowledge
-    assert len(known.dataset.succeeded) + len(known.aside.succeeded) == asked.asked.tests > 0
-    carried_out = len(known.dataset.percept) + len(known.aside.percept)
-    assert 0 < carried_out <= asked.asked.motions <= BRIEF.transitions + 1
-    assert asked.asked.episodes == 0 < asked.asked.looks
-
-
-def test_without_labels_c_is_not_tested_in_the_world(begun: tuple[StoredRun, list[Event]]) -> None:
-    _, events = begun
-    assert isinstance(events[1], ModelsFitted)
-    assert "fresh" not in events[1].summary.text
-
-
-def test_what_is_known_is_not_explored_again(begun: tuple[StoredRun, list[Event]]) -> None:
-    run, events = begun
-    again: list[Event] = []
-    training = Training(read_run(run.folder), again.append, lambda message: nullcontext())
-    recall_spent(training)
-    initial_progress(training)
-    assert again == []
-    assert isinstance(events[0], WorldAsked)
-    assert training.purse.spent == {EXPLORATION: events[0].asked}
-
-
-def ends_at(motion: int) -> Callable[..., Any]:
-    """`Recording.step` in a program that ends at the n-th motion, which is paid for by then."""
-    step, count = Recording.step, itertools.count(1)
-
-    def ends(self: Recording, *given: Any) -> Any:
-        if next(count) == motion:
-            self.purse.pay(self.phase, Asked(motions=1))
-            raise KeyboardInterrupt
-        return step(self, *given)
-
-    return ends
-
-
-@pytest.mark.parametrize("motion", [1, 8])
-def test_an_exploration_that_is_killed_is_made_again_and_counted_once(
-    begun: tuple[StoredRun, list[Event]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    motion: int,
-) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(Recording, "step", ends_at(motion))
-        with pytest.raises(KeyboardInterrupt):
-            explored(tmp_path / "run")
-    run = read_run(tmp_path / "run")
-    assert not (run.folder / "start").exists()
-    training = training_of(run)
-    recall_spent(training)
-    initial_progress(training)
-    first, path = begun[0].folder, "start/data.safetensors"
-    assert (run.folder / path).read_bytes() == (first / path).read_bytes()
-    assert asked_at_start(run.folder) == asked_at_start(first)
-
-
-def test_a_budget_that_does_not_cover_the_first_data_is_one_error(tmp_path: Path) -> None:
-    with pytest.raises(BudgetSpentError, match="budget of 3 motions is spent; raise it"):
-        explored(tmp_path / "run", motions=3)
-    assert not (tmp_path / "run" / "start").exists()
-
-
-def test_in_a_world_that_does_not_repeat_itself_one_robot_explores(tmp_path: Path) -> None:
-    """No two are side by side in it, and nothing is asked of it only for a report."""
-    own = TabletopSettings(noise="fresh")
-    run, events = create_run(tmp_path / "run", SMALL, own), list[Event]()
-    assert not run.repeats
-    assert not read_run(run.folder).repeats
-    initial_progress(Training(run, events.append, lambda message: nullcontext()))
-    asked, fitted = events
-    assert isinstance(asked, WorldAsked)
-    assert isinstance(fitted, ModelsFitted)
-    assert asked.asked.looks == -(-asked.asked.motions // 6)  # a fresh start after six motions
-    assert "fresh" not in fitted.summary.text
-    seen = load_progress(run, run.folder / "start").knowledge.dataset.percept
-    assert len(torch.unique(seen, dim=0)) == len(seen)
+    assert evolution_of(population=30).population == 30
+    assert evolution_of().selection is lexicase
+    paper = evolution_of(method="paper", tournament=1000, population=30)
+    assert paper.population == 30
+    scores = torch.tensor([[9.0], [0.0], [0.0]])  # which a tournament does not look at
+    assert (paper.selection(torch.tensor([2, 0, 1]), scores, 50, seeded(0)) == 2).all()

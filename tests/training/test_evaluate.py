@@ -2,15 +2,17 @@
 
 import pytest
 import torch
-from reaching import TABLE
-from support import random_skill, seeded
+from members import nearly
+from reaching import TABLE, TABLE_MODELS, small_knowledge
+from support import random_skill, seeded, world
 
 from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, SubSkill
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import first_percepts, try_skill
+from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
-from cgtorch.training.evaluate import Score, evaluate_skill
+from cgtorch.training.evaluate import Score, evaluate_skill, robust_success
 
 
 def score(successes: int, tried: int) -> Score:
@@ -74,22 +76,30 @@ def test_a_skill_of_the_papers_table_can_be_tried_on_any_table() -> None:
 def test_a_skill_must_read_what_there_is_to_see() -> None:
     narrow, wide = (random_skill(4, "some", a) for a in (paper_actions(), wider_actions()))
     assert evaluate_skill(wide, TABLE, "general-clutter", 10, 1).tried == 10
-    for skill, kind, says in (
-        (
-            narrow,
-            "general-clutter",
-            "'some' reads percepts of 7 numbers, .* general-clutter have 11",
-        ),
-        (wide, "general", "'some' reads percepts of 11 numbers, .* general have 7"),
-        (wide, "near", "of near have 7; use"),
+    outer = wider_actions().extended(["some"], [SubSkill(narrow)])
+    for skill, kind, reads, has in (
+        (narrow, "general-clutter", 7, 11),
+        (random_skill(5, "outer", outer), "general-clutter", 7, 11),
+        (wide, "general", 11, 7),
+        (wide, "near", 11, 7),
     ):
+        says = f"'some' reads percepts of {reads} numbers, .* of {kind} have {has}; use"
         with pytest.raises(SettingsError, match=says):
             evaluate_skill(skill, TABLE, kind, 10, 1)
 
 
-def test_a_skill_within_a_skill_must_fit_too() -> None:
-    inner = random_skill(4, "inner", paper_actions())
-    actions = wider_actions().extended(["inner"], [SubSkill(inner)])
-    outer = random_skill(5, "outer", actions)
-    with pytest.raises(SettingsError, match="'inner' reads percepts of 7 numbers"):
-        evaluate_skill(outer, TABLE, "general-clutter", 10, 1)
+def test_a_promise_holds_under_every_error_drawn() -> None:
+    """What the models promise, against running each imagined scenario by itself."""
+    skill, knowledge = nearly(0.3), small_knowledge()
+    percepts = first_percepts(world(0, 20))
+    found = robust_success(TABLE_MODELS, skill, knowledge, percepts, seeded(3), replicas=5)
+    place = TABLE_MODELS.imagine(knowledge, percepts, 5, seeded(3))
+    one_by_one = [
+        all(
+            bool(rollout(skill.graph, skill.actions, place, scenarios=torch.tensor([i])).succeeded)
+            for i in range(5 * row, 5 * row + 5)
+        )
+        for row in range(20)
+    ]
+    assert found.tolist() == one_by_one
+    assert 0 < sum(one_by_one) < 20

@@ -3,13 +3,14 @@
 import importlib.util
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from click.testing import CliRunner
+from driven_cart import CartDriver
 
 import cgtorch
 from cgtorch.commands.train import command
@@ -48,8 +49,14 @@ def test_a_run_from_python_is_that_of_the_command(tmp_path: Path) -> None:
     assert [row["event"] for row in run.log()] == [row["event"] for row in other.log()]
 
 
-def test_a_run_tells_all_that_it_has(cart: Any, tmp_path: Path) -> None:
-    run = trained(cart.Cart, tmp_path / "run")
+@pytest.fixture(scope="module")
+def whole(cart: Any, tmp_path_factory: pytest.TempPathFactory) -> cgtorch.Run:
+    """A run of one round; the last test makes more of it."""
+    return trained(cart.Cart, tmp_path_factory.mktemp("whole") / "run")
+
+
+def test_a_run_tells_all_that_it_has(whole: cgtorch.Run, tmp_path: Path) -> None:
+    run = whole
     assert run.stages == ("auto-1",)
     assert list(run.skills) == ["auto-1"]
     assert run.skill.name == run.ledger[-1]["skill"] == "auto-1"
@@ -62,28 +69,19 @@ def test_a_run_tells_all_that_it_has(cart: Any, tmp_path: Path) -> None:
     assert run.log()[0]["event"] == "asked"
 
 
-@pytest.mark.parametrize(
-    "made",
-    [
-        lambda cart: cart.Cart,
-        lambda cart: cart.Cart(),
-        lambda cart: "a_cart:Cart",
-        lambda cart: type("Local", (cart.Cart,), {"__qualname__": "f.<locals>.Local"}),
-    ],
-    ids=["class", "object", "name", "class within a function"],
-)
-def test_a_domain_is_an_object_a_class_or_a_name(
-    cart: Any, made: Callable[[Any], Any], tmp_path: Path
+def test_a_domain_is_an_object_a_class_or_a_name(cart: Any, tmp_path: Path) -> None:
+    local = type("Local", (cart.Cart,), {"__qualname__": "f.<locals>.Local"})
+    for i, domain in enumerate((cart.Cart, cart.Cart(), "a_cart:Cart", local)):
+        folder = tmp_path / str(i)
+        run = trained(domain, folder, watch=lambda event: True)  # which stops at once
+        assert cgtorch.open_run(folder, domain).all_settings() == run.all_settings()
+        with pytest.raises(CgtorchError, match="code of its own"):
+            cgtorch.open_run(folder)
+
+
+def test_a_watch_sees_champions_and_may_stop_a_run_which_resumes(
+    cart: Any, whole: cgtorch.Run, tmp_path: Path
 ) -> None:
-    domain = made(cart)
-    run = trained(domain, tmp_path / "run")
-    opened = cgtorch.open_run(tmp_path / "run", domain)
-    assert opened.skill.num_nodes == run.skill.num_nodes
-    with pytest.raises(CgtorchError, match="code of its own"):
-        cgtorch.open_run(tmp_path / "run")
-
-
-def test_a_watch_sees_champions_and_may_stop_a_run_which_resumes(cart: Any, tmp_path: Path) -> None:
     """The run that was stopped goes on to the same skill."""
     told: list[Event] = []
 
@@ -99,19 +97,7 @@ def test_a_watch_sees_champions_and_may_stop_a_run_which_resumes(cart: Any, tmp_
         _ = run.skill
     run = run.resume(quiet=True, watch=told.append)
     assert any(isinstance(event, SkillAccepted) for event in told)
-    whole = trained(cart.Cart(), tmp_path / "other")
     assert torch.equal(run.skill.graph.parameters, whole.skill.graph.parameters)
-
-
-def test_a_run_resumes_with_more(cart: Any, tmp_path: Path) -> None:
-    run = trained(cart.Cart(), tmp_path / "run")
-    more = run.resume(quiet=True, rounds=2, target=0.999, population=41)
-    assert more.settings.population == 41
-    assert more.stages[0] == "auto-1"
-    with pytest.raises(SettingsError, match="did you mean 'population'"):
-        run.resume(quiet=True, populaton=5)
-    with pytest.raises(SettingsError, match=r"seed 0 of run .* cannot become 5"):
-        run.resume(quiet=True, seed=5)
 
 
 def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:
@@ -144,3 +130,27 @@ def test_what_cannot_work_is_said_before_anything_is_written(
     with pytest.raises(error, match=message):
         cgtorch.train(**{"domain": "tabletop", "folder": tmp_path / "run", "quiet": True, **given})
     assert not (tmp_path / "run").exists()
+
+
+def test_a_robot_is_trained_and_goes_on(tmp_path: Path) -> None:
+    """The driver's class is the domain; its budget ends the run, which asks no more than that."""
+    about = {"generations": 8, "practice": 4, "budget": {"motions": 60, "tests": 60}}
+    run = trained(CartDriver, tmp_path / "run", **about)
+    first = [row for row in run.log() if row["event"] == "action"]
+    assert 20 < len(first) <= 120
+    again = run.resume(quiet=True, rounds=2, budget={"motions": 80, "tests": 80})
+    later = [row for row in again.log() if row["event"] == "action"]
+    assert later[: len(first)] == first
+    assert len(first) <= len(later) <= 160
+    assert len(again.stages) >= len(run.stages)
+
+
+def test_a_run_resumes_with_more(whole: cgtorch.Run) -> None:
+    run = whole
+    more = run.resume(quiet=True, rounds=2, target=0.999, population=41)
+    assert more.settings.population == 41
+    assert more.stages[0] == "auto-1"
+    with pytest.raises(SettingsError, match="did you mean 'population'"):
+        run.resume(quiet=True, populaton=5)
+    with pytest.raises(SettingsError, match=r"seed 0 of run .* cannot become 5"):
+        run.resume(quiet=True, seed=5)

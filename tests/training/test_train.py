@@ -1,4 +1,4 @@
-"""What a stage gives to its method, and what its result says of what the method came to."""
+"""Stages: their scenarios, what each gives its method, and what its result says of the method."""
 
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -13,18 +13,19 @@ from reaching import TABLE
 from torch import Tensor
 
 from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.events import Event, Practised, SkillAccepted, StageStarted
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_progress
-from cgtorch.runs.stored_run import StoredRun
+from cgtorch.runs.stored_run import StoredRun, round_name
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios
-from cgtorch.tabletop.world.scenarios import TABLE_WIDTH
+from cgtorch.tabletop.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
 from cgtorch.training import train as module
 from cgtorch.training.context import Training
-from cgtorch.training.train import NotImprovedError, train
+from cgtorch.training.train import NotImprovedError, stage_generator, stages_to_make, train
 
 SKILL = nearly(0.5)
 SETTINGS = RunSettings(models="none", practice=4)
@@ -33,15 +34,14 @@ Given = tuple[Progress[Scenarios], Scenarios, Scenarios]
 """What a method got: the progress, the tests, and three scenarios that were drawn."""
 
 
-def run_in(folder: Path, repeats: bool = True) -> StoredRun:
-    folder.mkdir()
-    (folder / "run.json").write_text("{}")
-    return StoredRun(folder, SETTINGS, TABLE, paper_actions(), repeats)
+@pytest.fixture
+def run(tmp_path: Path) -> StoredRun:
+    (tmp_path / "run.json").write_text("{}")
+    return StoredRun(tmp_path, SETTINGS, TABLE, paper_actions(), True)
 
 
-def training_of(run: StoredRun, events: list[Event] | None = None, **limits: float) -> Training:
-    watch = (events if events is not None else list[Event]()).append
-    return Training(run, watch, lambda message: nullcontext(), purse=Purse(limits))
+def training_of(run: StoredRun, events: list[Event]) -> Training:
+    return Training(run, events.append, lambda message: nullcontext(), purse=Purse())
 
 
 def rows(*flags: bool) -> Tensor:
@@ -85,20 +85,34 @@ class Method:
         return replace(progress, skill=skill, **about)
 
 
-def made(
-    monkeypatch: pytest.MonkeyPatch, run: StoredRun, *methods: Method, **limits: float
-) -> list[dict[str, Any]]:
-    """The results of stages of which each has its own method."""
-    each = iter(methods)
-    monkeypatch.setitem(module.METHODS, "compose", lambda *given: next(each)(*given))
-    return train(training_of(run, **limits), list(TABLE.stages)[len(methods) - 1])
+Make = Callable[..., list[dict[str, Any]]]
+
+
+@pytest.fixture
+def make(monkeypatch: pytest.MonkeyPatch) -> Make:
+    """The results of a run whose stages have these methods, one each."""
+
+    def made(
+        run: StoredRun, *methods: Any, stage: str = "", training: Training | None = None
+    ) -> list[dict[str, Any]]:
+        each = iter(methods)
+        monkeypatch.setitem(module.METHODS, run.settings.method, lambda *given: next(each)(*given))
+        stage = stage or list(TABLE.stages)[len(methods) - 1]
+        results = train(training or training_of(run, []), stage)
+        assert not list(each)
+        return results
+
+    return made
+
+
+ALL = [True] * 5
 
 
 def test_a_method_gets_tests_and_draws_of_the_stages_kind_and_what_was_missed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make: Make, run: StoredRun
 ) -> None:
-    first, second = Method(True, True, False, True, False), Method(*[True] * 5)
-    made(monkeypatch, run_in(tmp_path / "run"), first, second)
+    first, second = Method(True, True, False, True, False), Method(*ALL)
+    make(run, first, second)
     for method, kind in ((first, "near"), (second, "left")):
         ((_, tests, _),) = method.given
         for name, value in vars(TABLE.tests(kind)).items():
@@ -110,13 +124,14 @@ def test_a_method_gets_tests_and_draws_of_the_stages_kind_and_what_was_missed(
     assert len({tuple(o) for o in [*drawn.object.tolist(), *tests.object.tolist()]}) == 8
 
 
-def test_draws_are_the_stages_own_and_always_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_draws_are_the_stages_own_and_always_the_same(make: Make, run: StoredRun) -> None:
     drawn = []
     for name in ("one", "other"):
-        methods = Method(*[True] * 5), Method(*[True] * 5)
-        made(monkeypatch, run_in(tmp_path / name), *methods)
+        folder = run.folder / name
+        folder.mkdir()
+        (folder / "run.json").write_text("{}")
+        methods = Method(*ALL), Method(*ALL)
+        make(replace(run, folder=folder), *methods)
         drawn.append([method.given[0][2].seed.tolist() for method in methods])
     assert drawn[0] == drawn[1]
     assert not {*drawn[0][0]} & {*drawn[0][1]}
@@ -126,93 +141,65 @@ COUNTS = "targets_succeeded", "targets", "earlier_failures", "earlier_failures_s
 
 
 @pytest.mark.parametrize(
-    ("repeats", "chance", "last"),
-    [(True, False, False), (False, False, True), (True, True, True)],
-    ids=["it repeats itself", "it does not", "it was found to be chance"],
+    ("method", "repeats", "chance", "last"),
+    [
+        ("compose", True, False, False),
+        ("compose", False, False, True),
+        ("compose", True, True, True),
+        ("paper", False, False, False),
+    ],
+    ids=["it repeats itself", "it does not", "it was found to be chance", "the paper's method"],
 )
 def test_own_tests_are_not_mixed_up_with_earlier_failures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, repeats: bool, chance: bool, last: bool
+    make: Make, run: StoredRun, method: str, repeats: bool, chance: bool, last: bool
 ) -> None:
+    """The paper's method tries tests first in any world."""
     first = Method(True, False, False, True, False, last=last and not chance, chance=chance)
     second = Method(False, True, True, True, True, last=last)
-    results = made(monkeypatch, run_in(tmp_path / "run", repeats), first, second)
+    run = replace(run, repeats=repeats, settings=replace(SETTINGS, method=method))
+    results = make(run, first, second)
     counts = [tuple(r[name] for name in COUNTS) for r in results]
     assert counts == [(2, 5, 0, 0), (4, 5, 3, 0)]
     assert [r["w_size"] for r in results] == [0, 2]
 
 
-def test_the_papers_method_tries_tests_first_in_any_world(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    each = iter([Method(True, False, False, True, False), Method(False, True, True, True, True)])
-    run = run_in(tmp_path / "run", repeats=False)
-    run = replace(run, settings=replace(SETTINGS, method="paper"))
-    monkeypatch.setitem(module.METHODS, "paper", lambda *given: next(each)(*given))
-    results = train(training_of(run), "S1")
-    assert tuple(results[1][name] for name in COUNTS) == (4, 5, 3, 0)
-
-
 @pytest.mark.parametrize("missed", [0, 2])
 @pytest.mark.parametrize("tried", [1, 3, 5])
 def test_a_stage_may_end_before_all_of_its_tests_were_tried(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tried: int, missed: int
+    make: Make, run: StoredRun, tried: int, missed: int
 ) -> None:
     """Where nothing can be put back, tests come one after the other, until the budget is spent."""
     first = Method(*[True] * (5 - missed), *[False] * missed, last=True)
-    second = Method(*[True] * tried, last=True)
-    results = made(monkeypatch, run_in(tmp_path / "run", repeats=False), first, second)
+    results = make(replace(run, repeats=False), first, Method(*[True] * tried, last=True))
     wanted = [(5 - missed, 5, 0, 0), (tried, 5, missed, 0)]
     assert [tuple(r[name] for name in COUNTS) for r in results] == wanted
 
 
-def test_what_was_asked_adds_up_over_the_stages(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_was_asked_adds_up_over_the_stages_and_from_one_process_to_the_next(
+    make: Make, run: StoredRun
 ) -> None:
-    run = run_in(tmp_path / "run")
-    results = made(monkeypatch, run, Method(*[True] * 5), Method(*[True] * 5))
+    """What counts is what the run says, but for tests for the report, whatever a purse had."""
+    (first,) = make(run, Method(*ALL))
+    training = training_of(run, [])
+    training.purse.add("trials", Asked(99))
+    results = make(run, Method(*ALL), stage="S1", training=training)
     once = {"motions": 7, "tests": 2, "looks": 5, "episodes": 5}
     twice = {name: 2 * count for name, count in once.items()}
-    assert [r["asked"] for r in results] == [{"trials": once}, {"trials": twice}]
+    assert [r["asked"] for r in (first, results[1])] == [{"trials": once}, {"trials": twice}]
+    assert first["fresh"]["tried"] == first["overall"]["tried"] == 40
     assert run.results == results
-
-
-def test_a_run_that_goes_on_counts_what_was_asked_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The purse may have been used before; what counts is what the run says."""
-    run = run_in(tmp_path / "run")
-    made(monkeypatch, run, Method(*[True] * 5))
-    training = training_of(run)
-    training.purse.add("trials", Asked(99))
-    monkeypatch.setitem(module.METHODS, "compose", Method(*[True] * 5))
-    results = train(training, "S1")
-    assert results[1]["asked"]["trials"]["motions"] == 14
     assert training.purse.total == Asked(14, 4, 10, 10)
 
 
-def test_tests_for_the_report_are_not_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (result,) = made(monkeypatch, run_in(tmp_path / "run"), Method(*[True] * 5))
-    assert result["fresh"]["tried"] == result["overall"]["tried"] == 40
-    assert set(result["asked"]) == {"trials"}
-
-
-def test_a_stage_that_accepts_nothing_leaves_no_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = run_in(tmp_path / "run")
-    monkeypatch.setitem(module.METHODS, "compose", lambda stage, progress, *given: progress)
+def test_a_stage_that_accepts_nothing_leaves_no_folder(make: Make, run: StoredRun) -> None:
     events: list[Event] = []
     with pytest.raises(NotImprovedError, match="stage S0 found no skill"):
-        train(training_of(run, events), "S0")
+        make(run, lambda stage, progress, *given: progress, training=training_of(run, events))
     assert [type(event) for event in events] == [StageStarted]
     assert not (run.folder / "S0").exists()
 
 
-def test_a_budget_that_is_spent_ends_a_run_with_what_it_has(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_budget_that_is_spent_ends_a_run_with_what_it_has(make: Make, run: StoredRun) -> None:
     """A method takes a budget that is spent for its end; S1 has accepted nothing by then."""
 
     def spends(
@@ -221,21 +208,70 @@ def test_a_budget_that_is_spent_ends_a_run_with_what_it_has(
         setup.purse.exhausted = True
         return progress
 
-    run, accepts = run_in(tmp_path / "run"), Method(*[True] * 5)
-    each: Any = iter([accepts, spends])
-    monkeypatch.setitem(module.METHODS, "compose", lambda *given: next(each)(*given))
-    results = train(training_of(run), "S3")
+    results = make(run, Method(*ALL), spends, stage="S3")  # nobody begins S2
     assert [r["stage"] for r in results] == ["S0"]
     assert run.results == results
-    assert list(each) == []  # nobody has begun S2
 
 
-def test_first_percepts_are_kept_with_w_and_m(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = run_in(tmp_path / "run")
-    made(monkeypatch, run, Method(True, False, True, True, False))
+def test_first_percepts_are_kept_with_w_and_m(make: Make, run: StoredRun) -> None:
+    make(run, Method(True, False, True, True, False))
     progress = load_progress(run, run.folder / "S0")
     assert progress.seen is not None
     every = progress.solved.joined(progress.missed)
     assert torch.equal(progress.seen, first_percepts(TABLE.world(every)))
+
+
+STAGES = TABLE.stages
+
+
+def test_stages_in_order(run: StoredRun) -> None:
+    assert STAGES == {"S0": "near", "S1": "left", "S2": "right", "S3": "far"}
+    assert [stages_to_make(run, s) for s in STAGES] == [
+        ("S0",), ("S0", "S1"), ("S0", "S1", "S2"), ("S0", "S1", "S2", "S3"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", ["S4", "s0", "", "S0 ", "near", "../S0", "auto", "auto-1"])
+def test_unknown_stages(run: StoredRun, bad: str) -> None:
+    with pytest.raises(SettingsError, match=r"unknown stage .*; use one of S0, S1, S2, S3"):
+        stages_to_make(run, bad)
+
+
+def test_only_the_papers_table_has_stages(run: StoredRun) -> None:
+    for scenarios in ("auto", "perimeter"):
+        assert stages_to_make(replace(run, settings=RunSettings(scenarios=scenarios)), "S0")
+    for other in ("general", "general-clutter"):
+        with pytest.raises(SettingsError, match=f"not {other}; use stage 'auto'"):
+            stages_to_make(replace(run, settings=RunSettings(scenarios=other)), "S0")
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_five_evenly_spaced_from_the_centred_start(stage: str) -> None:
+    tests = TABLE.tests(STAGES[stage])
+    placed, pose = tests.object, tests.pose
+    assert torch.equal(pose, pose[:1].expand(5, 3))
+    assert pose[0].tolist() == pytest.approx([-TABLE_DEPTH / 2 - 1, 0, 0])
+    along, across = (1, 0) if STAGES[stage] in ("near", "far") else (0, 1)
+    length, depth = (TABLE_WIDTH, TABLE_DEPTH) if along == 1 else (TABLE_DEPTH, TABLE_WIDTH)
+    gaps = placed[:, along].diff()
+    assert gaps.tolist() == pytest.approx([(length - 2 * INSET_MIN) / 4] * 4)
+    inside = depth / 2 - 0.1
+    sign = 1 if STAGES[stage] in ("far", "left") else -1
+    assert placed[:, across].tolist() == pytest.approx([sign * inside] * 5)
+
+
+def test_the_right_edge_has_its_top_corner() -> None:
+    placed = TABLE.tests(STAGES["S2"]).object
+    corner = torch.tensor([TABLE_DEPTH / 2 - INSET_MIN, 0.1 - TABLE_WIDTH / 2])
+    assert (placed - corner).norm(dim=1).min() < 1e-6
+
+
+def test_a_stage_has_randomness_of_its_own() -> None:
+    def drawn(seed: int, stage: str) -> tuple[float, ...]:
+        return tuple(torch.rand(4, generator=stage_generator(TABLE, seed, stage)).tolist())
+
+    names = [*STAGES, *map(round_name, range(1, 30))]
+    everything = {drawn(seed, stage) for seed in range(20) for stage in names}
+    assert len(everything) == 20 * len(names)
+    assert drawn(3, "S2") == drawn(3, "S2")
+    drawn(2**31 - 1, "S3")  # the largest seed that settings allow

@@ -2,9 +2,11 @@ import math
 
 import pytest
 import torch
+from reaching import world_of
 from support import seeded
 
 from cgtorch.ground.errors import SettingsError
+from cgtorch.improvement.trial import first_percepts
 from cgtorch.tabletop.world import (
     EDGES,
     PLACEMENTS,
@@ -133,3 +135,12 @@ def test_counts_that_cannot_be() -> None:
         random_scenarios("near", -1, seeded(0))
     with pytest.raises(SettingsError, match="count is -1; give"):
         stage_scenarios("near", -1)
+
+
+def test_trials_meet_other_noise() -> None:
+    scenarios = random_scenarios("near", 40, seeded(3))
+    seeds = torch.cat([scenarios.with_noise(i).seed for i in range(3)])
+    assert torch.equal(scenarios.with_noise(0).seed, scenarios.seed)
+    assert len(set(seeds.tolist())) == 120
+    first = [first_percepts(world_of(scenarios.with_noise(i))) for i in range(2)]
+    assert 0 < float((first[0] - first[1]).abs().max()) < 0.06
