@@ -308,5 +308,5 @@ def test_later_it_is_told_what_was_accepted(
         f"{said[gamma].format('Γ')}; {said[classifier].format('C')}; now from {rows_of(known)}"
     )
     assert not told.first
-    assert not told.reports
+    assert told.reports["gamma"] is known.gamma_report  # of the last cross-validation
     assert told.scalars == {"models/rows": len(known.dataset.percept)}
