@@ -139,7 +139,7 @@ def evolved(folder: Path, islands: int, stop: int) -> list[Any]:
         after = torch.rand(3, generator=generator)  # what follows an evolution draws from it, too
         found = [*vars(champion.graphs).values(), champion.strategy, solved, after]
         return [told, hashlib.sha256(b"".join(t.numpy().tobytes() for t in found)).hexdigest()]
-    parts = sorted(folder.glob("*.*.safetensors"))
+    parts = sorted(folder.glob("*.*.safetensors")) if ranks.first() else []  # which wrote them
     return [told, [[p.name, notes_of(p.read_bytes())["sha256"]] for p in parts]]
 
 

@@ -34,7 +34,7 @@ def test_a_skill_is_evolved_there(shell: Shell, trained: Trained, tmp_path: Path
     run = quick(trained, tmp_path / "run")
     with pretended_gpu() as gpu:
         shell.does(TRAIN, "--resume", run, "--stage", "S0", "--device", "cuda", "--quiet")
-    assert gpu.waits["rollout.py: _grouped"] > 10  # rollouts were there
+    assert gpu.waits["torch_engine.py: _grouped"] > 10  # rollouts were there
     stage = result_of(run, "S0")
     assert stage["generations"] > 0
     assert stage["transitions"] > 0

@@ -72,6 +72,6 @@ def test_where_there_are_obstacles_networks_drive_around() -> None:
     wide = Tabletop(obstacles=1, tabletop="yaw")
     assert wide.actions().names == edge_way_actions(13, FOOTPRINT).names
     x0, x1, y0, y1 = wide.actions().actions[3].footprint  # type: ignore[union-attr]
-    kept = wide._clear_motion("cpu").footprint
+    kept = wide.models(wide)._clear_motion("cpu").footprint
     assert (x0, x1, y0, y1) == pytest.approx(kept.tolist())
     assert Tabletop().actions().names == edge_actions().names

@@ -92,6 +92,6 @@ def test_a_worker_that_hangs_or_dies_is_left(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_few_inputs_of_one_format() -> None:
-    result = CliRunner().invoke(command, ["--only", "result", "--count", "12"])
+    result = CliRunner().invoke(command, ["--only", "log", "--count", "12"])
     assert result.exit_code == 0, result.output
-    assert result.output.splitlines()[1].split()[:2] == ["result", "12"]
+    assert result.output.splitlines()[1].split()[:2] == ["log", "12"]
