@@ -132,10 +132,11 @@ def contradictions(figures: dict[str, Figure]) -> list[str]:
 
 
 def code_hash(folders: list[str]) -> str:
-    """A hash of all sources in some folders, without comments and docstrings."""
+    """A hash of all sources in some folders, or files, without comments and docstrings."""
     digest = hashlib.sha256()
     for folder in sorted(folders):
-        for path in sorted((ROOT / folder).rglob("*")):
+        place = ROOT / folder
+        for path in [place] if place.is_file() else sorted(place.rglob("*")):
             if path.suffix in (".py", ".c", ".h", ".cu", ".inc"):
                 digest.update(
                     f"{path.relative_to(ROOT)}\n{_said(path.read_text(), path.suffix)}".encode()

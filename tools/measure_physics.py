@@ -40,11 +40,11 @@ PARTS: dict[str, Callable[[Path, Sizes], Rows]] = {
 }
 DEPENDS = [
     *("cgtorch/graphs", "cgtorch/evolution", "cgtorch/improvement"),
-    *("cgtorch/native", "cgtorch/simulation", "cgtorch/svm", "cgtorch/tabletop/data"),
+    *("cgtorch/native", "cgtorch/simulation", "cgtorch/svm", "cgtorch/tabletop/data.py"),
     *("cgtorch/tabletop/kinematics", "cgtorch/tabletop/models", "cgtorch/tabletop/physics"),
     "cgtorch/tabletop/world",
 ]
-"""Folders whose code the figure is of."""
+"""Folders and files whose code the figure is of."""
 
 
 @click.command(help=__doc__.split("\n")[0] if __doc__ else None)
