@@ -70,12 +70,7 @@ def breed(
     """See `cgtorch.evolution.operators.breed`; new nodes are not numbered yet."""
     graphs, rows = population.graphs, torch.cat([elite, parents])
     launcher, device = launcher or launcher_of(rows.device), rows.device
-    count, (_, n, o), width = len(rows), graphs.edges.shape, 0
-    if count:
-        sizes = graphs.num_nodes.index_select(0, rows.clamp(0, len(graphs) - 1))
-        low, high, width = torch.stack([rows.min(), rows.max(), sizes.max()]).tolist()
-        if low < 0 or high >= len(graphs):
-            raise IndexError("a parent is not in the population; choose indices from 0 to P - 1")
+    count, (_, n, o), width = len(rows), graphs.edges.shape, _widest(graphs, rows)
     slots = capacity if actions is None else min(width + 1, capacity)
     shapes = (count, slots), (count, slots, o), (count, slots, 1), (count,)
     made = Graphs(*(torch.empty(shape, dtype=torch.long, device=device) for shape in shapes))
@@ -93,6 +88,20 @@ def breed(
     _launch(launcher, module, "elite", len(elite), THREADS, breeding)
     _launch(launcher, module, "pairs", len(parents) // 2, PAIRS, breeding)
     return made, strategy
+
+
+def _widest(graphs: Graphs, rows: Tensor) -> int:
+    """The number of nodes of the largest of some graphs; IndexError if there is none of a row."""
+    if rows.is_cpu:
+        about = graphs.action.contiguous(), graphs.capacity, len(graphs), rows, len(rows)
+        width = int(function("widest", torch.float32)(*about))
+    else:
+        sizes = graphs.num_nodes.index_select(0, rows.clamp(0, len(graphs) - 1))
+        missing = ((rows < 0) | (rows >= len(graphs))).any()
+        width = int(torch.where(missing, -1, sizes.max())) if len(rows) else 0
+    if width < 0:
+        raise IndexError("a parent is not in the population; choose indices from 0 to P - 1")
+    return width
 
 
 def perturb_parameters(

@@ -11,6 +11,18 @@ EXPORT_STRUCT(Graphs)
 EXPORT_STRUCT(Breeding)
 EXPORT_STRUCT(Children)
 
+/* The number of nodes of the largest of some graphs, or -1 if a row is not among the individuals. */
+int widest(const int64_t *action, int64_t nodes, int64_t individuals, const int64_t *rows, int64_t count) {
+  int most = 0;
+  for (int64_t i = 0; i < count; i++) {
+    int here = 0;
+    if (rows[i] < 0 || rows[i] >= individuals) return -1;
+    for (int64_t j = 0; j < nodes; j++) here += action[rows[i] * nodes + j] != NO_NODE;
+    most = here > most ? here : most;
+  }
+  return most;
+}
+
 static void some_pairs(void *what, int64_t begin, int64_t end) {
   for (int64_t pair = begin; pair < end; pair++) make_pair(what, pair);
 }
