@@ -1,10 +1,12 @@
 """Domains by name, checked before anything long begins; torch is imported only if needed."""
 
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import Field, fields, replace
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cgtorch.domains.settings import DomainSettings
@@ -91,10 +93,14 @@ def spec_of(domain: Any) -> "tuple[str, Domain[Any] | None]":
         if place == spec:
             own = getattr(domain, "settings", None)
             spec = f"{name}:{own.environment}" if name == GYMNASIUM and own else name
+    module, _, name = spec.partition(":")
+    script = getattr(sys.modules["__main__"], "__file__", None)
+    if module == "__main__" and script and issubclass(kind, Domain):
+        spec = f"{Path(script).stem}:{name}"  # by which other programs import it
     if isinstance(domain, Domain):
         return spec, domain
-    if issubclass(kind, Domain) and "<locals>" in spec:  # which no name finds again
-        return spec, kind()
+    if issubclass(kind, Domain) and (module == "__main__" or "<locals>" in name):
+        return spec, kind()  # the name would run the program again, or find nothing
     return spec, None
 
 

@@ -19,7 +19,7 @@ REPLICAS = 8  # of a scenario in the models, each with other errors
 PART = 250  # scenarios that are tried at once, between two signs of progress
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Score:
     """The result of a skill: `succeeded` (B,) bool, and `returns` (B,) with rewards.
 
@@ -30,6 +30,12 @@ class Score:
     percepts: Tensor
     succeeded: Tensor
     returns: Tensor | None = None
+
+    def __repr__(self) -> str:
+        """In short, as in 'Score(93 of 100)'."""
+        mean = self.mean_return
+        about = "" if mean is None else f", mean return {mean:.5g}"
+        return f"Score({self.successes} of {self.tried}{about})"
 
     def of(self, rows: Tensor) -> "Score":
         """The score on some of the scenarios, given as a mask (B,)."""

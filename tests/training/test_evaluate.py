@@ -1,5 +1,7 @@
 """Scores: how often a skill succeeds, and how sure that number is."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from members import nearly
@@ -18,6 +20,14 @@ from cgtorch.training.evaluate import Score, evaluate_skill, robust_success
 def score(successes: int, tried: int) -> Score:
     scenarios = random_scenarios("near", tried, seeded(0))
     return Score(scenarios, first_percepts(TABLE.world(scenarios)), torch.arange(tried) < successes)
+
+
+def test_a_score_is_said_in_a_word() -> None:
+    few = score(3, 4)
+    assert repr(few) == "Score(3 of 4)"
+    assert repr(replace(few, returns=torch.tensor([1.0, 2, 3, 4.5]))) == (
+        "Score(3 of 4, mean return 2.625)"
+    )
 
 
 def test_scenarios_come_from_the_seed() -> None:

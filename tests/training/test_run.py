@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -77,6 +78,25 @@ def test_a_domain_is_an_object_a_class_or_a_name(cart: Any, tmp_path: Path) -> N
         assert cgtorch.open_run(folder, domain).all_settings() == run.all_settings()
         with pytest.raises(CgtorchError, match="code of its own"):
             cgtorch.open_run(folder)
+
+
+PROGRAM = """
+if __name__ == "__main__":
+    import cgtorch
+    run = cgtorch.train(Cart, "run", quiet=True, watch=lambda event: True, population=40)
+    print(run.settings.domain, cgtorch.open_run("run", Cart).settings.domain)
+"""
+
+
+def test_another_program_opens_a_run_of_a_domain_in_a_program(tmp_path: Path) -> None:
+    """The run remembers the file in place of `__main__`, which is another one each time."""
+    (tmp_path / "driving.py").write_text(CART.read_text() + PROGRAM)
+    opening = "import cgtorch, driving; print(cgtorch.open_run('run', driving.Cart).kind)"
+    for words, said in ((["driving.py"], "driving:Cart driving:Cart"), (["-c", opening], "any")):
+        done = subprocess.run(
+            [sys.executable, *words], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert done.stdout.strip() == said, done.stderr
 
 
 def test_a_watch_sees_champions_and_may_stop_a_run_which_resumes(
