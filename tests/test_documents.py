@@ -178,3 +178,45 @@ def test_an_own_action_in_an_evolved_skill_in_forty_lines(
     assert int(runs.succeeded.sum()) == course[-1]
     # What is reached is reached by it, but where the robot stood near enough to begin with.
     assert (runs.succeeded[0] & used).sum() > course[-1] / 2
+
+
+DOORS = ("door.py", "course.py", "quick.py")
+
+
+@pytest.mark.parametrize("name", DOORS)
+def test_programs_from_python_are_short(name: str) -> None:
+    assert len(blocks(PYTHON)[name].strip().splitlines()) <= 12
+
+
+def test_a_program_trains_and_acts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It drives once and grasps; a percept that never changes would do for any robot."""
+    left = ran("door.py", tmp_path, monkeypatch)
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert first == f"S1 {left['run'].evaluate(50, scenarios='left').successes}"
+    assert int(first.split()[1]) > 40
+    assert rest[0].startswith("control MoveBase (")
+    assert rest[-1] == "test Grasp ()"
+    assert left["request"].kind == "success"
+
+
+def test_a_program_plots_what_happened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    left = ran("course.py", tmp_path, monkeypatch)
+    assert (tmp_path / "pole.png").read_bytes().startswith(b"\x89PNG")
+    assert len(left["best"]) > 3
+    assert left["best"].max() >= 100
+    assert {"stage", "generation", "accepted"} <= set(left["log"].event)
+
+
+def test_asking_and_telling(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    left = ran("quick.py", tmp_path, monkeypatch)
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [int(number) for number, _ in lines] == [1, 2, 3, 4, 5, 6]
+    fitness = [float(value) for _, value in lines]
+    assert fitness == sorted(fitness)
+    assert fitness[-1] > fitness[0] > 0
+    assert isinstance(left["skill"], Skill)

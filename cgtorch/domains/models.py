@@ -18,14 +18,14 @@ from cgtorch.ground.fields import Field
 from cgtorch.simulation.model import anything
 
 
-class Sensing(Protocol):
+class HasFields(Protocol):
     """A domain, as far as models need it: the fields of percepts and controls."""
 
     percept: Sequence[Field]
     control: Sequence[Field]
 
 
-D = TypeVar("D", bound=Sensing)
+D = TypeVar("D", bound=HasFields)
 """The domain of models."""
 
 

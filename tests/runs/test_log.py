@@ -116,6 +116,14 @@ def test_what_is_done_again_is_not_doubled(trained: Trained, tmp_path: Path) -> 
     assert found == [tuple(vars(each).values()) for each in asked]  # also equal ones, each once
 
 
+def test_what_happens_twice_is_there_twice(trained: Trained, tmp_path: Path) -> None:
+    """A repeated event stands for one row of before, and a second one like it is new."""
+    asked = next(event for event in trained.events if isinstance(event, WorldAsked))
+    assert len(log_of(tmp_path, (asked,))) == 1
+    assert len(log_of(tmp_path, (asked, asked))) == 2
+    assert len(log_of(tmp_path, (asked, asked))) == 2
+
+
 def test_the_log_of_a_run_is_what_its_events_come_to(trained: Trained, tmp_path: Path) -> None:
     ends = ("result", "ended")
     kept = [row for row in read_log(trained.folder) if row["event"] not in ends]

@@ -84,6 +84,7 @@ PROGRAM = """
 if __name__ == "__main__":
     import cgtorch
     run = cgtorch.train(Cart, "run", quiet=True, watch=lambda event: True, population=40)
+    assert type(run.domain) is Cart  # the program was not imported a second time
     print(run.settings.domain, cgtorch.open_run("run", Cart).settings.domain)
 """
 
@@ -115,7 +116,7 @@ def test_a_watch_sees_champions_and_may_stop_a_run_which_resumes(
     assert [len(each.champion) for each in generations] == [1] * 4
     with pytest.raises(RunError, match="has no skill yet"):
         _ = run.skill
-    run = run.resume(quiet=True, watch=told.append)
+    run = run.resume(quiet=True, watch=lambda event: told.append(event) or "only True stops")
     assert any(isinstance(event, SkillAccepted) for event in told)
     assert torch.equal(run.skill.graph.parameters, whole.skill.graph.parameters)
 
