@@ -18,7 +18,7 @@ from cgtorch.domains.models import Models
 from cgtorch.domains.pictures import Pictures
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, Step, Test, reward_actions
-from cgtorch.ground.environment import Environment, Rewarded, ScenarioBatch
+from cgtorch.ground.environment import Counting, Environment, Rewarded, ScenarioBatch
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.fields import Field
 from cgtorch.improvement.compose import local_group
@@ -34,12 +34,17 @@ class Specialists:
 
     Attributes:
         group_of: Chooses the scenarios on which a specialist is evolved.
-        group: Number of these scenarios.
+        group: Number of these scenarios at first.
+        widest: Number to which the group grows, by doubling, as long as all of it is solved, or
+            with rewards the fitness is good enough.
+        team: The largest number of members of a team; eight need 15 nodes with their branches.
         stall: Generations without a better fitness after which its search gives up.
     """
 
     group_of: Grouping = local_group
     group: int = 12
+    widest: int = 12
+    team: int = 8
     stall: int = 40
 
 
@@ -142,6 +147,11 @@ def other_measures(domain: Domain[Any]) -> Mapping[str, Domain[Any]]:
 def rewarded(domain: Domain[Any]) -> bool:
     """Whether a domain's world gives returns."""
     return isinstance(domain.world(domain.draw(domain.kinds[0], 1, Generator())), Rewarded)
+
+
+def counting(domain: Domain[Any]) -> bool:
+    """Whether motions in a domain's world consist of low-level steps, which it counts."""
+    return isinstance(domain.world(domain.draw(domain.kinds[0], 1, Generator())), Counting)
 
 
 def noisy(domain: Domain[Any]) -> bool:

@@ -97,7 +97,7 @@ class Gymnasium(Domain[Starts]):
     settings_type = GymnasiumSettings
     models = None
     kinds = ("starts",)
-    specialists = Specialists(group=8, stall=100)
+    specialists = Specialists(group=8, widest=32, stall=100)
     pictures = EpisodePictures
     files = ScalingFiles
 

@@ -18,13 +18,23 @@ if TYPE_CHECKING:
 
 ENTRY_POINTS = "cgtorch.domains"
 TABLETOP, GYMNASIUM = "tabletop", "gymnasium"
+EXAMPLES = {
+    GYMNASIUM: "gymnasium:CartPole-v1",
+    "metaworld": "metaworld:push-v3",
+    "gymnasium-robotics": "gymnasium-robotics:FetchPush-v4",
+}
+"""The domains whose names end with that of an environment."""
 _SETTINGS = {
     TABLETOP: "cgtorch.tabletop.settings:TabletopSettings",
     GYMNASIUM: "cgtorch.domains.gymnasium_settings:GymnasiumSettings",
+    "metaworld": "cgtorch.manipulation.settings:ManipulationSettings",
+    "gymnasium-robotics": "cgtorch.manipulation.settings:FetchSettings",
 }
 _CLASSES = {
     TABLETOP: "cgtorch.tabletop.domain:Tabletop",
     GYMNASIUM: "cgtorch.domains.gymnasium:Gymnasium",
+    "metaworld": "cgtorch.manipulation.domain:MetaWorld",
+    "gymnasium-robotics": "cgtorch.manipulation.domain:Fetch",
 }
 """The domains of the library by name."""
 NOT_FOUND = "is it spelt right, and is its file in this folder, on PYTHONPATH or installed?"
@@ -37,7 +47,7 @@ def known_names() -> list[str]:
 
 def is_code(spec: str) -> bool:
     """Whether a name is "package.module:Class", which would import code."""
-    return ":" in spec and spec.partition(":")[0] != GYMNASIUM
+    return ":" in spec and spec.partition(":")[0] not in EXAMPLES
 
 
 def domain_class(spec: str) -> type["Domain[Any]"]:
@@ -92,7 +102,7 @@ def spec_of(domain: Any) -> "tuple[str, Domain[Any] | None]":
     for name, place in _CLASSES.items():
         if place == spec:
             own = getattr(domain, "settings", None)
-            spec = f"{name}:{own.environment}" if name == GYMNASIUM and own else name
+            spec = f"{name}:{own.environment}" if name in EXAMPLES and own else name
     module, _, name = spec.partition(":")
     script = getattr(sys.modules["__main__"], "__file__", None)
     if module == "__main__" and script and issubclass(kind, Domain):
@@ -166,12 +176,11 @@ def make_domain(spec: str, settings: DomainSettings | None = None) -> "Domain[An
 def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
     """The settings with the part of the domain's name after its colon, such as ENV_ID."""
     name, _, argument = spec.partition(":")
-    if name != GYMNASIUM:
+    if name not in EXAMPLES:
         return settings
     if not re.fullmatch(r"[\w./-]+", argument):
         raise DomainError(
-            f"domain {spec!r} names no environment; give gymnasium:ENV_ID, such as "
-            "gymnasium:CartPole-v1"
+            f"domain {spec!r} names no environment; give {name}:NAME, such as {EXAMPLES[name]}"
         )
     return replace(settings, environment=argument)  # type: ignore[call-arg]
 

@@ -10,6 +10,7 @@ from cgtorch.ground.errors import SettingsError
 
 T = TypeVar("T")
 MOST = 2**31 - 1
+LAST = "last"
 _ENDLESS = ("inf", "-inf")
 
 
@@ -77,7 +78,7 @@ class DomainSettings:
 
     Attributes:
         run_defaults: The domain's own defaults of settings that every run has.
-        usual_stage: The stage that `cgtorch-train` makes by default.
+        usual_stage: The stage that `cgtorch-train` makes by default, or `LAST` for the last one.
     """
 
     run_defaults: ClassVar[Mapping[str, Any]] = {}

@@ -21,6 +21,7 @@ from cgtorch.evolution.population import Population as Population
 from cgtorch.evolution.population import initial_strategy as initial_strategy
 from cgtorch.evolution.population import join as join
 from cgtorch.evolution.population import population_from as population_from
+from cgtorch.evolution.racing import race as race
 from cgtorch.evolution.search import Environments as Environments
 from cgtorch.evolution.search import Generation as Generation
 from cgtorch.evolution.search import evolve as evolve

@@ -70,7 +70,7 @@ def initial_state(
         GraphError: A seed has more nodes than `settings.capacity`.
     """
     if seeds is None:
-        population = _random(settings, actions, generator)
+        population = _random(settings, actions, generator, settings.population)
     else:
         sizes = settings.capacity, settings.initial_nodes, generator
         population = slim(seeded_population(settings.population, seeds, actions, *sizes))
@@ -145,10 +145,13 @@ def next_state(
         state = replace(state, lineages=lineages, parents=parents)
         return _after(state, evaluated, drawn)
     if settings.lineages and state.fresh:
-        drawn = _random(settings, actions, state.generator)
+        drawn = _random(settings, actions, state.generator, settings.population)
         few = parents.rows(parents.order[: settings.elite])
         return _after(replace(state, lineages=(), parents=few, fresh=False), parents, drawn)
-    bred, distinct = _children(parents, settings, actions, state.generator)
+    old = replace(settings, population=settings.population - settings.newcomers, newcomers=0)
+    bred, distinct = _children(parents, old, actions, state.generator)
+    if settings.newcomers:
+        bred = join(bred, _random(settings, actions, state.generator, settings.newcomers))
     return _after(replace(state, lineages=(), parents=None, fresh=True), parents, bred, distinct)
 
 
@@ -167,9 +170,11 @@ def _after(
     )
 
 
-def _random(settings: EvolutionSettings, actions: ActionSet, generator: Generator) -> Population:
+def _random(
+    settings: EvolutionSettings, actions: ActionSet, generator: Generator, count: int
+) -> Population:
     sizes = settings.capacity, settings.initial_nodes, generator
-    graphs = settings.first_graphs(settings.population, actions, *sizes)
+    graphs = settings.first_graphs(count, actions, *sizes)
     return slim(Population(graphs, initial_strategy(len(graphs))))
 
 

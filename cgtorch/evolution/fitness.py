@@ -104,6 +104,7 @@ def evaluator(
     most_lanes: int = MOST_LANES,
     group: ranks.Group | None = None,
     fitness: Fitness = chance_of_success,
+    scenarios: Tensor | None = None,
 ) -> Evaluator:
     """The evaluation of eq. 3: 0 if a scenario of W fails, else the mean fitness of rollouts.
 
@@ -117,20 +118,25 @@ def evaluator(
         most_lanes: Number of rollouts at once (at least B); it does not change results.
         group: The ranks that share the individuals; all by default. Each gets all results.
         fitness: The value of a rollout in place of C(p_t).
+        scenarios: (B,) long, the only scenarios on which individuals run, to which `keep` (B,) then
+            belongs; all by default.
 
     No argument may be changed in place between two generations. Results come back to the device of
     the graphs.
     """
     engine, cost = None, 0.0
-    if isinstance(fitness, ChanceOfSuccess):
+    if isinstance(fitness, ChanceOfSuccess) and scenarios is None:
         engine, cost = engine_of(actions, environment), fitness.cost
     size = max(1, most_lanes // max(1, len(keep)))
     order, kept = torch.argsort(~keep, stable=True), int(keep.sum())  # W first
     about = order, kept, max_transitions, most_steps(actions, max_transitions), cost
+    where = torch.arange(len(keep), device=keep.device) if scenarios is None else scenarios
 
     def parts(graphs: Graphs) -> Parts:
         found = engine and engine.evaluation(graphs, *about)
-        return found or _by_rollouts(graphs, actions, environment, keep, max_transitions, fitness)
+        return found or _by_rollouts(
+            graphs, actions, environment, keep, max_transitions, fitness, where
+        )
 
     def evaluation(graphs: Graphs) -> Evaluation:
         p, mine = len(graphs), graphs[ranks.share(len(graphs), group)]
@@ -158,6 +164,7 @@ def _by_rollouts(
     keep: Tensor,
     max_transitions: int,
     fitness: Fitness,
+    scenarios: Tensor,
 ) -> Parts:
     """An evaluation by `rollout`, for any fitness, actions, environment and device."""
     p, b, home, device = len(graphs), len(keep), graphs.start.device, keep.device
@@ -171,12 +178,12 @@ def _by_rollouts(
     for part in (keep.nonzero()[:, 0], (~keep).nonzero()[:, 0]):
         if not len(part) or not len(alive):
             continue
-        some, limit = graphs[alive], max_transitions
-        runs = rollout(some, actions, environment, scenarios=part, max_transitions=limit)
+        some, limit, where = graphs[alive], max_transitions, scenarios[part]
+        runs = rollout(some, actions, environment, scenarios=where, max_transitions=limit)
         transitions[alive] += runs.transitions.sum(1)
         executed += runs.executed
         succeeded[alive[:, None], part] = runs.succeeded
-        probability, real = last_success(runs, environment, part)
+        probability, real = last_success(runs, environment, where)
         worth = fitness(runs, probability).float()
         score[alive[:, None], part] = torch.nan_to_num(worth, neginf=least).clamp_min(least)
         finite[alive] &= (real & (worth.isfinite() | (worth == -torch.inf))).all(1)

@@ -11,13 +11,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeAlias
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
 from cgtorch.evolution.evolution import EvolutionState, initial_state, next_state
-from cgtorch.evolution.fitness import Evaluation, evaluator
+from cgtorch.evolution.fitness import Evaluation
 from cgtorch.evolution.operators import crossover, mutate
 from cgtorch.evolution.population import Population
 from cgtorch.evolution.selection import Evaluated
@@ -25,7 +26,7 @@ from cgtorch.evolution.settings import EvolutionSettings, check_parts
 from cgtorch.graphs import ActionSet, Graphs, SubSkill, check_action, widened
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.dry_run import check_environment
-from cgtorch.ground.environment import Environment
+from cgtorch.ground.environment import Counting, Environment
 from cgtorch.native.gpu import launcher_of
 from cgtorch.simulation import MAX_TRANSITIONS
 
@@ -114,11 +115,7 @@ def evolve(
     first = environment(begin) if callable(environment) else environment
     if keep is None:
         keep = torch.zeros(first.num_scenarios, dtype=torch.bool)
-    check_environment(first, keep.device)
-    for name, action in zip(actions.names, actions.actions, strict=True):
-        if not isinstance(action, SubSkill):
-            check_action(name, action, first, keep.device)
-    check_parts(settings, actions, first, keep.device)
+    _dry_run(first, actions, settings, keep.device)
     count, group = settings.islands, ranks.group_of(settings.islands)
     if islands is None:
         own = [derived_generator(generator, number) for number in ranks.held(count)]
@@ -126,7 +123,7 @@ def evolve(
     home = home_of(settings, actions, keep.device)
     islands = [replace(each, population=each.population.to(home)) for each in islands]
     about = partial(
-        evaluator, actions, keep=keep, max_transitions=max_transitions, group=group,
+        settings.evaluate, actions, keep=keep, max_transitions=max_transitions, group=group,
         fitness=settings.fitness,
     )  # fmt: skip
     evaluation = about(environment=first)
@@ -145,6 +142,27 @@ def evolve(
         islands = [next_state(*pair, settings, actions) for pair in pairs]
         if callable(environment):
             evaluation = about(environment=environment(generation.number + 1))
+
+
+_tried: WeakKeyDictionary[ActionSet, set[type]] = WeakKeyDictionary()
+"""The kinds of environments in which actions were tried, where low-level steps are counted."""
+
+
+def _dry_run(
+    environment: Environment, actions: ActionSet, settings: EvolutionSettings, device: torch.device
+) -> None:
+    """Try all parts on two rows; where low-level steps are counted, only once, and only others'."""
+    kinds, counts = _tried.setdefault(actions, set()), isinstance(environment, Counting)
+    if type(environment) in kinds:
+        return
+    check_environment(environment, device)
+    for name, action in zip(actions.names, actions.actions, strict=True):
+        ours = counts and type(action).__module__.startswith(f"{__name__.split('.')[0]}.")
+        if not (ours or isinstance(action, SubSkill)):
+            check_action(name, action, environment, device)
+    check_parts(settings, actions, environment, device)
+    if counts:
+        kinds.add(type(environment))
 
 
 def derived_generator(generator: Generator, number: int) -> Generator:

@@ -5,7 +5,13 @@ from dataclasses import dataclass
 import torch
 from torch import Generator
 
-from cgtorch.evolution.fitness import Fitness, chance_of_success, episode_return, last_success
+from cgtorch.evolution.fitness import (
+    Fitness,
+    chance_of_success,
+    episode_return,
+    evaluator,
+    last_success,
+)
 from cgtorch.evolution.operators import crossover, mutate
 from cgtorch.evolution.population import (
     TAU,
@@ -19,6 +25,7 @@ from cgtorch.evolution.population import (
     random_population,
     varied_graphs,
 )
+from cgtorch.evolution.racing import MakeEvaluator
 from cgtorch.evolution.selection import Selection, lexicase, tournament
 from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground.dry_run import ROWS, expect, kind, returned, two_rows
@@ -36,11 +43,16 @@ class EvolutionSettings:
 
     Attributes:
         population: Number of individuals, of each island.
+        evaluate: How individuals are evaluated: `evaluator` runs all on all scenarios, `race` fewer
+            of them on more.
         selection: How parents are selected, `lexicase` or `tournament(rounds)`.
         fitness: The value of a rollout.
         crossover: How two parents become two children.
         mutation: How children change.
         elite: Number of best individuals that are copied unchanged.
+        newcomers: Number of individuals of each later population that are random graphs in place of
+            children, so that the search leaves local optima (Grefenstette, "Genetic algorithms for
+            changing environments", PPSN 1992).
         capacity: The largest number of nodes of a graph.
         initial_nodes: The fewest and most nodes of a first graph, before pruning.
         first_graphs: Draws random graphs, `random_graphs` or `varied_graphs`. With seeds, the
@@ -54,11 +66,13 @@ class EvolutionSettings:
     """
 
     population: int = 400
+    evaluate: MakeEvaluator = evaluator
     selection: Selection = lexicase
     fitness: Fitness = chance_of_success
     crossover: Crossover = crossover
     mutation: Mutation = mutate
     elite: int = 1
+    newcomers: int = 0
     capacity: int = 24
     initial_nodes: tuple[int, int] = (4, 12)
     first_graphs: FirstGraphs = random_graphs
@@ -73,6 +87,9 @@ class EvolutionSettings:
             raise SettingsError(f"population is {self.population}; give at least 2")
         if not 0 <= self.elite < self.population:
             raise SettingsError(f"elite is {self.elite}; give 0 to {self.population - 1}")
+        if not 0 <= self.newcomers < self.population - self.elite:
+            most = self.population - self.elite - 1
+            raise SettingsError(f"newcomers are {self.newcomers}; give 0 to {most}")
         low, high = self.initial_nodes
         if not 1 <= low <= high <= self.capacity:
             raise SettingsError(

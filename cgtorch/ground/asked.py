@@ -15,13 +15,17 @@ class Asked:
     """Numbers of things that were asked of a world.
 
     Motions and tests of success are world actions. Looks are first percepts without an action, and
-    each needs a placed scene. Episodes are trials of a skill.
+    each needs a placed scene. Episodes are trials of a skill. Where a motion consists of several
+    low-level steps, these are counted, too: those that a robot would make, and those that were
+    simulated, as equal ones are simulated once.
     """
 
     motions: int = 0
     tests: int = 0
     looks: int = 0
     episodes: int = 0
+    steps: int = 0
+    simulated: int = 0
 
     def __add__(self, other: "Asked") -> "Asked":
         return Asked(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
@@ -35,6 +39,7 @@ class Asked:
         return self.motions + self.tests
 
 
+NOTHING = Asked()
 NAMES = tuple(f.name for f in fields(Asked))
 
 
@@ -70,4 +75,5 @@ class Purse:
 
     def add(self, phase: str, asked: Asked) -> None:
         """Count what was asked before, such as before an interruption."""
-        self.spent[phase] = self.spent.get(phase, Asked()) + asked
+        if asked != NOTHING:
+            self.spent[phase] = self.spent.get(phase, Asked()) + asked

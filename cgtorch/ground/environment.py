@@ -218,6 +218,21 @@ class Live(Protocol):
 
 
 @runtime_checkable
+class Counting(Protocol):
+    """An environment whose motions consist of several low-level steps, which it counts."""
+
+    @property
+    def asked(self) -> Asked:
+        """All low-level steps so far, in any environment that counts together with this one."""
+        ...
+
+
+def asked_of(environment: Environment) -> Asked:
+    """The low-level steps so far; none if the environment does not count any."""
+    return environment.asked if isinstance(environment, Counting) else Asked()
+
+
+@runtime_checkable
 class Rewarded(Protocol):
     """An environment with rewards, in episodes that end.
 

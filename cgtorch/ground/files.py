@@ -157,14 +157,19 @@ class JsonLines:
             finally:
                 os.close(file)
 
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """All rows in order; RunError for a line that is no JSON object."""
+    def rows(self, *begin: str) -> Iterator[dict[str, Any]]:
+        """All rows in order, or those whose lines `begin` with some text.
+
+        RunError for a line that is no JSON object.
+        """
         if not self.path.is_file():
             return
         with self.path.open(encoding="utf-8", errors="replace") as file:
             for number, line in enumerate(file, 1):
                 if not line.endswith("\n"):
                     return  # it is torn, or about to be written
+                if begin and not line.startswith(begin):
+                    continue
                 try:
                     row = strict_json(line)
                 except (ValueError, RecursionError):

@@ -6,7 +6,7 @@ stage reads these instead of computing them, and goes on from where the journal 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import partial
 
 import torch
@@ -23,6 +23,7 @@ from cgtorch.evolution.ask_and_tell import (
 from cgtorch.evolution.population import slim
 from cgtorch.graphs import ActionSet
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.asked import NOTHING, Asked
 from cgtorch.ground.errors import RunError
 
 
@@ -38,6 +39,7 @@ class Found:
         generations: Number of generations so far.
         transitions: Number of actions executed so far.
         seconds: Time so far.
+        asked: Low-level steps so far, if the environment counts any.
     """
 
     champion: Population
@@ -47,15 +49,17 @@ class Found:
     generations: int = 0
     transitions: int = 0
     seconds: float = 0.0
+    asked: Asked = NOTHING
 
-    def after(self, generation: Generation, seconds: float) -> "Found":
-        """The result after one more generation, which took `seconds`."""
+    def after(self, generation: Generation, seconds: float, asked: Asked = NOTHING) -> "Found":
+        """The result after one more generation, which took `seconds` and the steps `asked`."""
         counted = replace(
             self,
             since=self.since + 1,
             generations=self.generations + 1,
             transitions=self.transitions + generation.transitions,
             seconds=self.seconds + seconds,
+            asked=self.asked + asked,
         )
         fitness = generation.best
         if fitness <= self.best + 1e-3:
@@ -106,6 +110,7 @@ def found_tensors(found: Found) -> dict[str, Tensor]:
         "solved": found.solved,
         "generations": torch.tensor(found.generations),
         "counts": torch.tensor([found.since, found.transitions]),
+        "asked": torch.tensor(astuple(found.asked)),
         "numbers": torch.tensor([found.best, found.seconds], dtype=torch.float64),
     }
 
@@ -121,7 +126,8 @@ def found_from(tensors: dict[str, Tensor], actions: ActionSet, scenarios: int) -
         if solved.shape != (scenarios,) or solved.dtype != torch.bool:
             raise ValueError(f"solved has shape {tuple(solved.shape)}, not ({scenarios},)")
         counts = int(since), generations, int(transitions)
-        return Found(champion, solved, float(best), *counts, float(seconds))
+        asked = Asked(*tensors["asked"].tolist())
+        return Found(champion, solved, float(best), *counts, float(seconds), asked)
 
 
 def checkpoint_of(found: Found, islands: Sequence[EvolutionState], count: int) -> Checkpoint:

@@ -16,13 +16,20 @@ def branching_action(actions: ActionSet) -> tuple[int, BranchingNN]:
 
 
 def compose(
-    name: str, members: list[Skill], branches: Tensor, actions: ActionSet, max_transitions: int
+    name: str,
+    members: list[Skill],
+    branches: Tensor,
+    actions: ActionSet,
+    max_transitions: int,
+    *,
+    corrected: bool = True,
 ) -> Skill:
     """A skill that branches to one of its members, which are frozen sub-skills.
 
-    The branching nodes, with parameters (M - 1, K), are visited in turn. A member that fails is
-    followed by the next one, and the last by the first, so a wrong branch can be corrected. Members
-    that behave the same share one node; members that differ need different names.
+    The branching nodes, with parameters (M - 1, K), are visited in turn. If wrong branches are
+    `corrected`, a member that fails is followed by the next one, and the last by the first.
+    Otherwise it is followed by itself. Members that behave the same share one node; members that
+    differ need different names.
     """
     kind, branch = branching_action(actions)
     m = len(members)
@@ -42,9 +49,27 @@ def compose(
         edges[0, i, 0] = node[i]
         edges[0, i, 1] = i + 1 if i < m - 2 else node[-1]
         parameters[0, i, : branch.num_parameters] = branches[i]
-    edges[0, first_member:, 1] = torch.arange(1, len(distinct) + 1) % len(distinct) + first_member
+    others = torch.arange(len(distinct)) + corrected
+    edges[0, first_member:, 1] = others % len(distinct) + first_member
     graph = Graphs(action[None], edges, parameters, torch.zeros(1, dtype=torch.long))
-    return Skill(name, graph, both, max_transitions)
+    return Skill(name, graph, both, max(max_transitions, m + 1))
+
+
+def branches_of(skill: Skill) -> tuple[list[str], Tensor] | None:
+    """The names of the members to which a composed skill branches, and (M - 1, K) parameters.
+
+    None if it is not composed.
+    """
+    if not skill.sub_skills:
+        return None
+    kind, branch = branching_action(skill.actions)
+    graph = skill.graph
+    count = int((graph.action[0] == kind).sum())
+    first, last = graph.edges[0, :count, 0], graph.edges[0, count - 1, 1:2]
+    nodes = graph.action[0][torch.cat([first, last])].tolist()
+    return [skill.actions.names[node] for node in nodes], graph.parameters[
+        0, :count, : branch.num_parameters
+    ]
 
 
 def specialists_of(skill: Skill) -> tuple[Skill, ...]:

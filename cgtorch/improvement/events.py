@@ -197,6 +197,14 @@ class StageFinished(Event):
 
 
 @dataclass(frozen=True)
+class StageFailed(Event):
+    """A stage found no skill in its `attempts`. Others follow, and it comes back after them."""
+
+    stage: str
+    attempts: int
+
+
+@dataclass(frozen=True)
 class TrainingEnded(Event):
     """A training ended after what was asked for: up to `stage`, or "auto" with a goal.
 

@@ -27,9 +27,11 @@ from cgtorch.improvement.events import (
     WorldTested,
     solved_of,
 )
+from cgtorch.improvement.outcomes import begun, surely
 from cgtorch.improvement.setup import Draw, Progress, Setup
-from cgtorch.improvement.team import REFLECT, Candidate, StageState, learned, proposed
-from cgtorch.improvement.trial import attempt, looked
+from cgtorch.improvement.state import Candidate, StageState
+from cgtorch.improvement.team import REFLECT, learned, proposed
+from cgtorch.improvement.trial import Trial, attempt, looked
 
 IDLE = 6  # candidates in a row that solve nothing more, after which a stage ends
 DECISIVE = 30  # solved scenarios that tell whether success is chance
@@ -56,6 +58,7 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     began = time.perf_counter()
     try:
         state = _begun(setup, progress, tests, draw)
+        state = begun(state) if setup.remembers else state
     except BudgetSpentError:
         return progress
     if not len(state.scenarios):  # so nothing can be evolved
@@ -131,6 +134,7 @@ def _begun(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> S
         knowledge=progress.knowledge,
         members=members,
         trust=torch.ones(sum(sizes), len(members)),
+        outcomes=torch.zeros(sum(sizes), len(members), dtype=torch.long),
         population=progress.specialists,
         current=None if skill is None else Candidate(skill),
         repeats=repeats,
@@ -195,7 +199,7 @@ def acted(
             experience.append(trial.experience)
             rows = torch.arange(len(fresh)) + len(state.keep)
             state = state.extended(fresh, trial.percepts, targets=tests)
-            state = state.after(candidate, rows, trial)
+            state = state.after(candidate, rows, *results(trial))
             if not trial.succeeded.all():
                 state = replace(state, in_a_row=0)
                 break
@@ -267,14 +271,25 @@ def _on_known(
     if not len(rows):
         return replace(state, current=candidate), False
     most = None if state.repeats else state.most
-    trial = attempt(setup, candidate.skill, state.scenarios[rows], "trials", most)
-    experience.append(trial.experience)
-    counts = solved_of(trial.succeeded, state.keep[rows])
+    known = surely(state, candidate)[rows] * setup.remembers
+    new = (known == 0).nonzero()[:, 0]
+    succeeded, actions = known > 0, torch.zeros(0, dtype=torch.long)
+    if len(new):
+        trial = attempt(setup, candidate.skill, state.scenarios[rows[new]], "trials", most)
+        experience.append(trial.experience)
+        succeeded[new], actions = results(trial)
+    counts = solved_of(succeeded, state.keep[rows])
     setup.watch(WorldTested(setup.name, candidate.skill.name, *counts))
-    after = state.after(candidate, rows, trial)
-    if again and bool((state.keep[rows] & ~trial.succeeded).any()):
-        return _with_current(replace(state, trust=after.trust)), True
+    after = state.after(candidate, rows, succeeded, actions)
+    if again and bool((state.keep[rows] & ~succeeded).any()):
+        state = replace(state, trust=after.trust, outcomes=after.outcomes)
+        return state if setup.remembers else _with_current(state), True
     return replace(after, current=candidate), False
+
+
+def results(trial: Trial) -> tuple[Tensor, Tensor]:
+    """Whether a trial succeeded (B,), and the world actions of its successes."""
+    return trial.succeeded, trial.actions[trial.succeeded]
 
 
 def _on_rest(

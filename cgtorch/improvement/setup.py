@@ -90,13 +90,18 @@ class Setup(Generic[S]):
         looks: Number of first percepts of fresh scenarios to practise on in the models.
         core: Number of scenarios of W on which skills are compared; a new one is tried on all.
         group_of: Chooses the scenarios on which a specialist is evolved.
-        group: Number of these scenarios.
+        group: Number of these scenarios at first.
+        widest: Number to which the group grows, by doubling, as long as all of it is solved or the
+            fitness is good enough.
+        team: The largest number of members of a team.
         replicas: Copies of each scenario of a whole group, and more of a smaller one. With 2, it is
             met under different errors of Γ, or other noise.
         replays: Copies of each scenario on which skills are compared.
         repeats: Whether the world repeats itself, so that W is tried again and eq. 1 is exact.
         noisy: Whether scenarios can be tried again under other noise.
         live: Whether the world is a robot, where each episode is a step of its own.
+        remembers: Whether a world that repeats itself is asked for replays, too, and takes time, so
+            that what members solve there is remembered (`cgtorch.improvement.outcomes`).
         max_transitions: Of every skill.
         device: Where populations are evaluated.
         journal: Stores results, and returns those from before an interruption.
@@ -117,11 +122,14 @@ class Setup(Generic[S]):
     core: int = 1000
     group_of: Grouping = local_group
     group: int = 12
+    widest: int = 12
+    team: int = 8
     replicas: int = 2
     replays: int = 8
     repeats: bool = True
     noisy: bool = False
     live: bool = False
+    remembers: bool = False
     max_transitions: int = 20
     device: torch.device | str = "cpu"
     journal: Journal = field(default_factory=Journal)

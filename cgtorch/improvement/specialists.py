@@ -8,11 +8,21 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.evolution import Fitness, Population, chance_of_success, evaluator, evolve
+from cgtorch.evolution import (
+    Fitness,
+    Population,
+    chance_of_success,
+    evaluator,
+    evolve,
+    join,
+    mutate,
+)
 from cgtorch.evolution.ask_and_tell import restore
-from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned
+from cgtorch.evolution.population import slim
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs, compacted, pruned, resized
 from cgtorch.ground import distributed as ranks
-from cgtorch.ground.environment import Environment
+from cgtorch.ground.asked import NOTHING
+from cgtorch.ground.environment import Environment, asked_of
 from cgtorch.improvement.checkpoint import (
     Found,
     checkpoint_of,
@@ -20,7 +30,13 @@ from cgtorch.improvement.checkpoint import (
     found_tensors,
     islands_from,
 )
-from cgtorch.improvement.events import EvolutionRecalled, GenerationDone, S, solved_of
+from cgtorch.improvement.events import (
+    EvolutionRecalled,
+    GenerationDone,
+    S,
+    WorldAsked,
+    solved_of,
+)
 from cgtorch.improvement.setup import Models, Setup
 
 READABLE = 10  # nodes that a picture shows at a glance
@@ -34,26 +50,63 @@ def specialist(
     scenarios: S,
     percepts: Tensor,
     seeds: Population | None,
-) -> Population:
+) -> tuple[Population, Tensor, Tensor]:
     """The best individual on scenarios with first percepts (R, D), as small as it can be.
 
-    With a fitness of `Budget.satisfied` on a group it goes on on twice as many. This detects chance
-    successes on a few, while most of the search runs on a few.
+    If it solves all of a group, or has a fitness of `Budget.satisfied`, it goes on on twice as
+    many. This detects chance successes on a few, while most of the search runs on a few. Returned
+    are also the indices (r,) of the largest group, and what it solves of that (r,).
     """
-    step, count = name, len(percepts)
-    size = setup.group if setup.budget.satisfied < inf else count
+    step, size, found = name, len(percepts), None
+    order = torch.arange(size)
+    if setup.widest > setup.group:
+        size = min(setup.group, size)
+
+    def environment_of(rows: Tensor) -> Environment:
+        replicas = max(setup.replicas, setup.replicas * setup.group // len(rows))
+        about = models, scenarios[rows], percepts[rows], replicas
+        return setup.imagine(*about, setup.generator, setup.device)
+
     while True:
-        size = min(size, count)
-        replicas = max(setup.replicas, setup.replicas * setup.group // size)
-        about = models, scenarios[:size], percepts[:size], replicas
-        environment = setup.imagine(*about, setup.generator, setup.device)
-        found = best_of_searches(setup, step, environment, seeds)
-        if size >= count or found.best < setup.budget.satisfied:
+        environment = environment_of(order[:size])
+        if found is not None and setup.remembers:
+            found = _held(setup, found, environment)
+            if not found.solved.all():  # what is missed comes first, so that it decides a race
+                order[:size] = order[:size][found.solved.long().argsort(stable=True)]
+                environment = environment_of(order[:size])
+        if found is None or not (setup.remembers and found.solved.all()):
+            found = best_of_searches(setup, step, environment, _starters(setup, seeds))
+        well = bool(found.solved.all()) or found.best >= setup.budget.satisfied
+        if size >= len(percepts) or not well:
             break
-        size, seeds = 2 * size, found.champion
+        size, seeds = min(2 * size, len(percepts)), found.champion
         step = f"{name} on {size}"
     how = setup.max_transitions, setup.evolution.fitness, setup.device
-    return shrunk(found.champion, setup.actions, environment, *how)
+    return shrunk(found.champion, setup.actions, environment, *how), order[:size], found.solved
+
+
+def _held(setup: Setup[Any], found: Found, environment: Environment) -> Found:
+    """What a result solves of a larger group."""
+    nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool, device=setup.device)
+    limit, fitness = setup.max_transitions, setup.evolution.fitness
+    evaluate = evaluator(setup.actions, environment, nothing, limit, fitness=fitness)
+    before = asked_of(environment)
+    result = evaluate(found.champion.graphs)
+    asked = asked_of(environment) - before
+    held = replace(found, solved=result.succeeded[0], best=float(result.fitness), asked=asked)
+    return _counted(setup, held)
+
+
+def _starters(setup: Setup[Any], seeds: Population | None) -> Population | None:
+    """The seeds of a search; where a rollout takes its time, mutants in place of more copies."""
+    half = setup.evolution.population // 2
+    if seeds is None or not setup.remembers or len(seeds) >= half:
+        return seeds if seeds is None or not setup.remembers else seeds[-half:]
+    nodes, actions = setup.evolution.capacity, setup.actions
+    copies = seeds[torch.arange(half - len(seeds)) % len(seeds)]
+    sizes = nodes, actions.outcome_capacity, actions.parameter_capacity
+    copies = Population(resized(compacted(copies.graphs), *sizes), copies.strategy)
+    return slim(join(seeds, mutate(copies, actions, setup.generator, setup.evolution.tau)))
 
 
 def best_of_searches(
@@ -94,12 +147,13 @@ def evolve_candidate(
         found = found_from(known, setup.actions, len(keep))
         setup.watch(EvolutionRecalled(setup.name, name, found))
         restore(generator, known)
-        return found
+        return _counted(setup, found, recalled=True)
     if checkpoint := journal.recall_checkpoint(step):
         found = found_from(checkpoint.about, setup.actions, len(keep))
         islands = islands_from(checkpoint, setup.actions, generator, settings.islands)
         setup.watch(EvolutionRecalled(setup.name, name, found))
     began = time.perf_counter()
+    before = asked_of(environment)
     for generation in evolve(
         environment,
         setup.actions,
@@ -116,13 +170,23 @@ def evolve_candidate(
         seconds, counts = time.perf_counter() - began, solved_of(generation.succeeded, keep)
         done = generation, setup.budget.generations, seconds
         setup.watch(GenerationDone(setup.name, name, *counts, *done))
-        found, began = found.after(generation, seconds), began + seconds
+        now = asked_of(environment)
+        found, began = found.after(generation, seconds, now - before), began + seconds
+        before = now
         if setup.budget.ends(found):
             break
     assert found is not None  # noqa: S101  the loop body has run
     # Where the first island is not held, its random numbers have not been drawn.
     generator.set_state(ranks.broadcast(generator.get_state()))
     journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
+    return _counted(setup, found)
+
+
+def _counted(setup: Setup[Any], found: Found, recalled: bool = False) -> Found:
+    """The result, of which the low-level steps are counted and reported."""
+    if found.asked != NOTHING:
+        setup.purse.add("search", found.asked)
+        setup.watch(WorldAsked(setup.name, "search", found.asked, recalled=recalled))
     return found
 
 

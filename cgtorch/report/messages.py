@@ -38,7 +38,8 @@ def message_of(event: events.Event) -> str:
         case events.WorldTested():
             return _world_tested(event)
         case events.WorldAsked():
-            return "" if event.phase == "looks" else f"{event.stage}: {_asked(event)}"
+            silent = event.phase in ("looks", "search")
+            return "" if silent else f"{event.stage}: {_asked(event)}"
         case events.ChanceFound():
             share = event.succeeded / event.tried
             return (
@@ -69,12 +70,21 @@ def message_of(event: events.Event) -> str:
 def _asked(event: events.WorldAsked) -> str:
     asked = event.asked
     tried = f", {event.succeeded} of {asked.episodes} succeeded" if asked.episodes else ""
-    return f"{event.phase}: {asked.motions} motions and {asked.tests} tests{tried}"
+    what = f"{asked.motions} motions and {asked.tests} tests"
+    if asked.steps:
+        what = f"{asked.steps} low-level steps, {asked.simulated} of them simulated"
+    return f"{event.phase}: {what}{tried}"
 
 
 def asked_of(whom: str, purse: Purse) -> str:
     """World actions of all phases, and the time that a robot takes for them."""
     total = purse.total
+    if total.steps:
+        phases = ", ".join(f"{phase} {a.steps}" for phase, a in purse.spent.items() if a.steps)
+        return (
+            f"asked of the {whom}: {total.steps} low-level steps ({phases}), of which "
+            f"{total.simulated} had to be simulated, in {total.episodes} trials and a search"
+        )
     hours = total.actions * SECONDS / 3600
     phases = ", ".join(f"{phase} {a.actions}" for phase, a in purse.spent.items() if a.actions)
     return (

@@ -84,6 +84,7 @@ COLUMNS: dict[str, dict[str, Shape]] = {
         "overall": _SCORE, "decisive": _SCORE, "mean_holds": (bool, None), "in_a_row": (int, None),
         "practice": (int, None),
     },
+    "failed": {"stage": str, "attempts": int},
     "damaged": {"stage": str, "files": [str]},
     "changed": {"stage": str, "changed": {str: list}, "set_aside": (str, None)},
     "ended": {
@@ -172,6 +173,19 @@ def read_log(folder: Path) -> list[Row]:
     return rows
 
 
+def history_of(folder: Path) -> list[tuple[str, str]]:
+    """The stages of a run that were made ("result") or found no skill ("failed"), in order."""
+    found = list[tuple[str, str]]()
+    kinds = (f'{{"event": "{name}"' for name in ("result", "failed", "changed"))
+    for row in JsonLines(folder / LOG).rows(*kinds):
+        event, stage = str(row["event"]), str(row.get("stage"))
+        if event == "changed":
+            found = [one for one in found if not (row.get("set_aside") and one[1] == stage)]
+        else:
+            found.append((event, stage))
+    return found
+
+
 def results_in(rows: Sequence[Row], stages: Sequence[str], folder: Path) -> list[Row]:
     """The result of each of the finished stages; RunError if the log in `folder` lacks one."""
     found = {row["stage"]: row for row in rows if row["event"] == "result"}
@@ -234,6 +248,7 @@ _NAMES: dict[type[events.Event], str] = {
     events.Practised: "practised",
     events.ChanceFound: "chance",
     events.FreshTested: "tested",
+    events.StageFailed: "failed",
     events.JournalDamaged: "damaged",
     events.TrainingEnded: "ended",
 }

@@ -44,7 +44,7 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
-from cgtorch.runs.log import LOG, Row, read_log, results_in
+from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
 
 FORMAT, VERSION = "cgtorch-run", 5
@@ -73,8 +73,16 @@ class StoredRun:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The finished stages, in order, up to the first that is missing, then the rounds."""
-        return (*itertools.takewhile(self._finished, self.domain.stages), *self.rounds)
+        """The finished stages, in the order in which they were made, then the rounds.
+
+        Stages after one that is missing do not count, unless that has found no skill.
+        """
+        history = history_of(self.folder) if self.domain.stages else []
+        failed = {stage for event, stage in history if event == "failed"}
+        made = {stage: place for place, (event, stage) in enumerate(history) if event == "result"}
+        there = itertools.takewhile(lambda s: self._finished(s) or s in failed, self.domain.stages)
+        names = sorted(filter(self._finished, there), key=lambda s: made.get(s, len(made)))
+        return (*names, *self.rounds)
 
     @property
     def rounds(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import torch
 
-from cgtorch.domains.domain import noisy, rewarded
+from cgtorch.domains.domain import counting, noisy, rewarded
 from cgtorch.domains.knowledge import summary_of
 from cgtorch.domains.live import OnRobot
 from cgtorch.evolution import (
@@ -19,6 +19,7 @@ from cgtorch.evolution import (
     chance_of_success,
     episode_return,
     lexicase,
+    race,
     tournament,
 )
 from cgtorch.ground.asked import Purse
@@ -43,6 +44,9 @@ IN_A_ROW, LIVE_IN_A_ROW = 150, 20
 """The default number of fresh scenarios to solve in a row, in a world that can be put back into any
 scenario, and in one where each trial takes its time. A stage there asks for half as many, since
 other stages follow."""
+NEW, SMALL = 3, (3, 8)
+"""One individual in so many is new in each generation, and the fewest and most nodes of first
+graphs, where low-level steps are counted."""
 SETTLED = 20  # generations without a better fitness after which the search for a solved group ends
 
 
@@ -96,6 +100,8 @@ class Training:
         budget = Budget(s.generations, stall=specialists.stall)
         if not run.repeats:  # where an action costs more than a generation
             budget = replace(budget, patience=SETTLED)
+        if counting(domain):  # where a further generation costs more than it gains
+            budget = replace(budget, enough=0.0)
         if rewarded(domain):
             # Returns have no maximum, so the search continues for a number of generations.
             aim = domain.target_return
@@ -110,13 +116,16 @@ class Training:
             budget=budget,
             group_of=specialists.group_of,
             group=specialists.group,
+            widest=specialists.widest,
+            team=specialists.team,
             replicas=replicas,
             replays=(8 if run.repeats else REPLAYS) if run.learns else replicas,
             practice=self.practice(name),
-            looks=0 if self._tests_by_rounds(name) else LOOKS,
+            looks=self._looks(name),
             repeats=run.repeats,
             noisy=noisy(domain),
             live=isinstance(domain, OnRobot),
+            remembers=counting(domain) and run.repeats and not (run.learns or noisy(domain)),
             searches=self._searches(),
             attempts=self.attempts,
             max_transitions=s.max_transitions,
@@ -124,6 +133,11 @@ class Training:
             journal=journal or Journal(),
             purse=self.purse,
         )
+
+    def _looks(self, name: str) -> int:
+        """Fresh scenarios to think about; with low-level steps, those to evolve on."""
+        few = self.run.domain.specialists.widest if counting(self.run.domain) else LOOKS
+        return 0 if self._tests_by_rounds(name) else few
 
     @property
     def attempts(self) -> int:
@@ -158,6 +172,9 @@ def evolution_settings(run: StoredRun) -> EvolutionSettings:
         islands=s.islands,
         migration=s.migration,
     )
+    if counting(run.domain):
+        new = s.population // NEW
+        return replace(common, evaluate=race, newcomers=new, initial_nodes=SMALL)
     if not returns or s.method == "paper" or s.islands > 1:
         return common
     return replace(

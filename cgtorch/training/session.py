@@ -11,7 +11,7 @@ import torch
 
 from cgtorch import native
 from cgtorch.domains.domain import Domain
-from cgtorch.domains.settings import DomainSettings, known_options, to_plain
+from cgtorch.domains.settings import LAST, DomainSettings, known_options, to_plain
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Purse
@@ -269,7 +269,9 @@ def _stage(run: StoredRun, request: TrainingRequest, before: Mapping[str, Any]) 
     """The stage to make, by default that of the run; SettingsError for a goal without auto."""
     stage = request.stage
     if stage is None:
-        stage = str(before.get("stage") or type(run.domain.settings).usual_stage)
+        usual = type(run.domain.settings).usual_stage
+        usual = [*run.domain.stages, usual][-2] if usual == LAST else usual
+        stage = str(before.get("stage") or usual)
     if stage != AUTO:
         if request.goal:
             raise SettingsError(

@@ -1,7 +1,8 @@
 """Algorithm 1 over the stages of a domain, such as the four experiments of section VI."""
 
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any, TypeAlias
@@ -22,6 +23,7 @@ from cgtorch.improvement.events import (
     GenerationDone,
     Practised,
     SkillAccepted,
+    StageFailed,
     StageFinished,
     StageStarted,
     TrainingEnded,
@@ -30,6 +32,7 @@ from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress
 from cgtorch.runs.journal import FOLDER, forget, journal_of
+from cgtorch.runs.log import history_of
 from cgtorch.runs.storage import load_progress, save_progress
 from cgtorch.runs.stored_run import AUTO, StoredRun
 from cgtorch.training.context import Training
@@ -109,8 +112,10 @@ class Tally:
 def train(training: Training, stage: str) -> list[dict[str, Any]]:
     """Make all stages up to one, except those that the run has; returns their results.
 
+    After a stage that finds no skill, the others go on, and it is tried again after them.
+
     Raises:
-        NotImprovedError: A stage ended without a skill that meets eq. 1.
+        NotImprovedError: Some stages found no skill that meets eq. 1, also after the others.
         RunError: A file cannot be written or read, or the run has continued in rounds.
         SettingsError: There is no such stage, or none for the run's kind of scenarios.
     """
@@ -118,27 +123,55 @@ def train(training: Training, stage: str) -> list[dict[str, Any]]:
     names = stages_to_make(run, stage)
     recall_spent(training)
     progress = initial_progress(training)
-    for name in names:
-        if name in run.stages:
-            progress = load_progress(run, run.folder / name)
-            forget(run.folder / FOLDER / name)  # in case its process was killed before it could
-            continue
-        try:
-            progress = _stage(training, name, names, progress)
-        except NotImprovedError:
-            if not training.purse.exhausted:
-                raise
-        if training.purse.exhausted:
+    for name in run.stages:
+        progress = load_progress(run, run.folder / name)
+        forget(run.folder / FOLDER / name)  # in case its process was killed before it could
+    while not training.purse.exhausted:
+        found = next_stage(names, run.stages, history_of(run.folder))
+        if found is None:
             break
+        name, failures = found
+        try:
+            progress = _stage(training, name, names, progress, failures)
+        except NotImprovedError:
+            if training.purse.exhausted:
+                break
+            training.told(StageFailed(name, training.attempts))
     ranks.wait()
+    missing = " and ".join(name for name in names if name not in run.stages)
+    if missing and not training.purse.exhausted:
+        raise NotImprovedError(
+            f"stage {missing} found no skill that keeps W and solves more within "
+            f"{training.attempts} attempts; raise attempts, generations or population"
+        )
     training.log(TrainingEnded(stage))
     return [result for result in run.results if result["stage"] in names]
 
 
+def next_stage(
+    names: Sequence[str], made: Collection[str], history: Sequence[tuple[str, str]]
+) -> tuple[str, int] | None:
+    """The next stage to make, and how often it has found no skill; None if there is none.
+
+    Stages that have not been tried come first. One that found no skill is tried again if others
+    have been made since. `history` is that of `cgtorch.runs.log.history_of`.
+    """
+    tries = Counter(stage for event, stage in history if event == "failed")
+    for name in names:
+        if name not in made and not tries[name]:
+            return name, 0
+    for name in names:
+        if name not in made:
+            since = list(reversed(history))[: list(reversed(history)).index(("failed", name))]
+            if any(event == "result" for event, _ in since):
+                return name, tries[name]
+    return None
+
+
 def _stage(
-    training: Training, name: str, names: tuple[str, ...], before: Progress[Any]
+    training: Training, name: str, names: tuple[str, ...], before: Progress[Any], failures: int
 ) -> Progress[Any]:
-    """Make one stage and store it in the run."""
+    """Make one stage, which has failed so often, and store it in the run."""
     run = training.run
     kind = run.domain.stages[name]
     tests = run.domain.tests(kind)
@@ -172,7 +205,7 @@ def _stage(
             result |= {"fresh": counts(kind, fresh), "overall": counts(usual, overall)}
         return after, result
 
-    return make_stage(training, name, kind, before, tests, test)[0]
+    return make_stage(training, name, kind, before, tests, test, failures)[0]
 
 
 def make_stage(
@@ -182,6 +215,7 @@ def make_stage(
     before: Progress[Any],
     tests: Any,
     test: Callable[[Progress[Any], Tally], Made | None],
+    failures: int = 0,
 ) -> Made:
     """Make one stage or round and store it in the run; NotImprovedError if there is no skill.
 
@@ -189,7 +223,7 @@ def make_stage(
     progress and the result, or to None if there is no skill.
     """
     run, tally = training.run, Tally()
-    generator = stage_generator(run.domain, run.settings.seed, name)
+    generator = stage_generator(run.domain, run.settings.seed, name, failures)
 
     def listen(event: Event) -> None:
         tally.count(event)
@@ -198,7 +232,8 @@ def make_stage(
     def draw(count: int, generator: Generator) -> Any:
         return run.domain.draw(kind, count, generator)
 
-    with journal_of(run.folder, name, training.told, training.checkpoint_seconds) as journal:
+    again = f"{name} again {failures}" if failures else name
+    with journal_of(run.folder, again, training.told, training.checkpoint_seconds) as journal:
         setup = training.setup(name, journal)
         setup = replace(setup, name=name, generator=generator, watch=listen)
         began, method = time.perf_counter(), METHODS[run.settings.method]
@@ -240,6 +275,7 @@ def counts(kind: str, score: Score) -> dict[str, Any]:
 
 
 _SEED_STRIDE = 1_000_003
+_AGAIN = 300_000  # by which they differ after a failure
 _AUTO_SEEDS = 500_000  # far from seeds that one would evaluate with
 
 
@@ -265,10 +301,13 @@ def stages_to_make(run: StoredRun, stage: str) -> tuple[str, ...]:
     return names
 
 
-def stage_generator(domain: Domain[Any], seed: int, stage: str) -> Generator:
-    """The generator of one stage or round; it does not depend on the results of earlier ones."""
+def stage_generator(domain: Domain[Any], seed: int, stage: str, failures: int = 0) -> Generator:
+    """The generator of one stage or round; it does not depend on the results of earlier ones.
+
+    It is another one for a stage that has failed.
+    """
     if stage in domain.stages:
         offset = list(domain.stages).index(stage) + 1
     else:
         offset = _AUTO_SEEDS + int(stage.removeprefix(f"{AUTO}-"))
-    return Generator().manual_seed(seed * _SEED_STRIDE + offset)
+    return Generator().manual_seed(seed * _SEED_STRIDE + offset + failures * _AGAIN)

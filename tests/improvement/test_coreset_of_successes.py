@@ -17,7 +17,7 @@ from cgtorch.graphs import Skill
 from cgtorch.improvement.compose import cover
 from cgtorch.improvement.events import SkillAccepted, WorldTested
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.team import StageState
+from cgtorch.improvement.state import StageState
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import random_scenarios
 

@@ -25,13 +25,13 @@ from watched import (
 from cgtorch.ground.asked import Purse
 from cgtorch.improvement import team
 from cgtorch.improvement.events import Practised
+from cgtorch.improvement.state import Candidate
 from cgtorch.improvement.team import (
     CLEAR,
     ERRORS,
     MOST_WORSE,
     REFLECT,
     WORTH,
-    Candidate,
     no_worse,
 )
 from cgtorch.improvement.trial import try_skill

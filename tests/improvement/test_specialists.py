@@ -1,6 +1,7 @@
 """Specialists: on what they are evolved, how often, and how small they become."""
 
 import itertools
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -49,7 +50,8 @@ def test_few_missed_scenarios_are_joined_by_solved_ones(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(specialists, "evolve_candidate", lambda *about, **how: found)
         patch.setattr(specialists, "shrunk", lambda champion, *about: champion)
-        setup = replace(without_models(replicas=replicas, group=group), imagine=imagine)
+        about = {"replicas": replicas, "group": group, "widest": group}
+        setup = replace(without_models(**about), imagine=imagine)
         after = with_member(stage_of(setup), replace(state, number=7), which)
     rows = [scenarios.seed.tolist().index(s) for s in told["scenarios"].seed.tolist()]
     assert len(rows) == len(set(rows))
@@ -64,11 +66,20 @@ def test_few_missed_scenarios_are_joined_by_solved_ones(
     assert len(after.population) == 1
 
 
-@pytest.mark.parametrize(("best", "groups"), [(0.6, [8, 16, 32]), (0.4, [8])])
+@pytest.mark.parametrize(
+    ("best", "solved", "satisfied", "groups"),
+    [
+        (0.6, 7, 0.5, [8, 16, 32]),
+        (0.4, 7, 0.5, [8]),
+        (0.4, 8, 0.5, [8, 16]),
+        (0.4, 8, math.inf, [8, 16]),
+        (0.6, 7, math.inf, [8]),
+    ],
+)
 def test_what_is_good_enough_on_few_scenarios_goes_on_with_more(
-    best: float, groups: list[int]
+    best: float, solved: int, satisfied: float, groups: list[int]
 ) -> None:
-    """Where there is a fitness that is good enough, up to a number of scenarios."""
+    """With a fitness that is good enough, or if all is solved, up to a number of scenarios."""
     scenarios, told = random_scenarios("perimeter", 50, seeded(0)), list[Scenarios]()
     began, names = list[Any](), list[str]()
 
@@ -76,26 +87,26 @@ def test_what_is_good_enough_on_few_scenarios_goes_on_with_more(
         told.append(some)
         return in_the_world(models, some, percepts, count)
 
-    found = Found(Population(nearly(0.3).graph, initial_strategy(1)), torch.ones(1) > 0, best)
+    champion = Population(nearly(0.3).graph, initial_strategy(1))
 
     def evolved(stage: Any, name: str, environment: Any, seeds: Any = None, **how: Any) -> Found:
         names.append(name)
         began.append(seeds)
-        return found
+        return Found(champion, torch.arange(environment.num_scenarios) < solved, best)
 
-    for satisfied, wanted in ((0.5, groups), (float("inf"), [8])):
-        told.clear(), names.clear(), began.clear()
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(specialists, "evolve_candidate", evolved)
-            patch.setattr(specialists, "shrunk", lambda champion, *about: champion)
-            budget = Budget(satisfied=satisfied)
-            setup = replace(without_models(group=8, budget=budget, searches=1), imagine=imagine)
-            with_member(stage_of(setup), state_of(scenarios), torch.ones(50, dtype=torch.bool))
-        assert [len(each) for each in told] == wanted
-        for few, more in itertools.pairwise(told):
-            assert more.seed[: len(few)].tolist() == few.seed.tolist()
-        assert len(set(names)) == len(names)
-        assert began == [None] + [found.champion] * (len(wanted) - 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(specialists, "evolve_candidate", evolved)
+        patch.setattr(specialists, "shrunk", lambda champion, *about: champion)
+        about = {"group": 8, "widest": 32, "replicas": 1, "searches": 1}
+        setup = replace(
+            without_models(budget=Budget(satisfied=satisfied), **about), imagine=imagine
+        )
+        with_member(stage_of(setup), state_of(scenarios), torch.ones(50, dtype=torch.bool))
+    assert [len(each) for each in told] == groups
+    for few, more in itertools.pairwise(told):
+        assert more.seed[: len(few)].tolist() == few.seed.tolist()
+    assert len(set(names)) == len(names)
+    assert began == [None] + [champion] * (len(groups) - 1)
 
 
 @pytest.mark.parametrize("searches", [1, 4])

@@ -9,28 +9,19 @@ from hypothesis import strategies as st
 from members import nearly
 from reaching import world_of
 from support import seeded
-from torch import Tensor
 from watched import stage_of, state_of, without_models
 
-from cgtorch.ground.asked import Asked
-from cgtorch.ground.environment import Dataset
 from cgtorch.improvement import team
 from cgtorch.improvement.compose import branching_action
-from cgtorch.improvement.team import (
-    BLAME,
-    FEW,
-    FEWEST,
-    RELIABLE,
-    STEPS,
-    Candidate,
-    composed,
-    shares,
-)
-from cgtorch.improvement.trial import Trial, first_percepts, try_skill
+from cgtorch.improvement.setup import Setup
+from cgtorch.improvement.state import BLAME, FEWEST, STEPS, Candidate
+from cgtorch.improvement.team import RELIABLE, composed, shares
+from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
 
 ACTIONS = paper_actions()
+FEW = Setup.team
 BRANCH = branching_action(ACTIONS)[1]
 
 
@@ -89,13 +80,6 @@ def test_a_team_has_a_few_members_who_are_reliable(seed: int, count: int) -> Non
         assert found.chosen == (int(rates.mean(0).argmax()),)
 
 
-def trial_of(succeeded: Tensor, actions: list[int]) -> Trial:
-    n = torch.zeros(len(succeeded), 0)
-    nothing = Dataset(n, n, n, n, succeeded)
-    spent = torch.tensor(actions)
-    return Trial(n, succeeded, spent, nothing, spent, Asked())
-
-
 @given(st.integers(0, 2**20), st.integers(1, 5), st.integers(1, 12))
 def test_who_was_sent_there_is_blamed(seed: int, count: int, rows: int) -> None:
     """Its share there becomes less, and nobody else's, nor its own elsewhere."""
@@ -109,8 +93,9 @@ def test_who_was_sent_there_is_blamed(seed: int, count: int, rows: int) -> None:
     candidate = Candidate(nearly(0.3), chosen, branches)
     tried = torch.randperm(15, generator=generator)[:rows]
     succeeded = torch.rand(rows, generator=generator) < 0.5
-    actions = torch.randint(1, 20, (rows,), generator=generator).tolist()
-    after = state.after(candidate, tried, trial_of(succeeded, actions))
+    actions = torch.randint(1, 20, (rows,), generator=generator)
+    result = tried, succeeded, actions[succeeded]
+    after = state.after(candidate, *result)
     trust = state.trust.clone()
     for row, good in zip(tried.tolist(), succeeded.tolist(), strict=True):
         sent = int(candidate.sent_to(state.percepts[row : row + 1]))
@@ -118,6 +103,7 @@ def test_who_was_sent_there_is_blamed(seed: int, count: int, rows: int) -> None:
         assert bool(after.keep[row]) is good
         assert after.tried[row]
         assert int(after.shown[row]) == (1 if good else -1)
+        assert int(after.outcomes[row, sent]) == (1 if good else -1)
         if not good:
             trust[row, sent] = trust[row, sent] * BLAME
     assert torch.equal(after.trust, trust)
@@ -129,10 +115,11 @@ def test_who_was_sent_there_is_blamed(seed: int, count: int, rows: int) -> None:
     assert not after.acting(candidate).shown.any()  # others did that
     same = replace(after, current=candidate).acting(candidate)
     assert torch.equal(same.shown, after.shown)
-    spent = [n for n, good in zip(actions, succeeded.tolist(), strict=True) if good]
-    assert after.actions == (5, *spent)
-    unknown = state.after(Candidate(nearly(0.3)), tried, trial_of(succeeded, actions))
+    assert after.actions == (5, *actions[succeeded].tolist())
+    assert int((after.outcomes != 0).sum()) == rows
+    unknown = state.after(Candidate(nearly(0.3)), *result)
     assert torch.equal(unknown.trust, state.trust)
+    assert not unknown.outcomes.any()
 
 
 def test_shares_are_those_of_replays() -> None:

@@ -38,7 +38,7 @@ def tensors() -> dict[str, Tensor]:
         "solved": torch.tensor([True, False, True]),
         "transitions": torch.tensor([1, 2, 3]),
         "actions": torch.tensor([1, 0, 2]),
-        "asked": torch.tensor([2, 1, 3, 3]),
+        "asked": torch.tensor([2, 1, 3, 3, 50, 40]),
         "percept": torch.zeros(2, SIZE),
         "control": torch.zeros(2, 3),
         "next_percept": torch.zeros(2, SIZE),
@@ -51,7 +51,7 @@ def test_a_trial_is_read() -> None:
     trial = trial_from(tensors(), 3)
     assert trial.succeeded.tolist() == [True, False, True]
     assert trial.actions.tolist() == [1, 0, 2]
-    assert trial.asked == Asked(motions=2, tests=1, looks=3, episodes=3)
+    assert trial.asked == Asked(motions=2, tests=1, looks=3, episodes=3, steps=50, simulated=40)
     assert len(trial.experience.percept) == 2
 
 

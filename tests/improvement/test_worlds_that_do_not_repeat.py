@@ -33,7 +33,7 @@ from cgtorch.ground.environment import Lanes
 from cgtorch.improvement.events import ChanceFound, Event, Practised, SkillAccepted, WorldAsked
 from cgtorch.improvement.improve import DECISIVE, improve
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.team import FEWEST, MOST, PATIENCE, StageState
+from cgtorch.improvement.state import FEWEST, MOST, PATIENCE, StageState
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, random_scenarios, stage_scenarios
 

@@ -16,7 +16,7 @@ from cgtorch.ground.environment import Lanes
 from cgtorch.improvement.events import Event
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.team import StageState
+from cgtorch.improvement.state import StageState
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, random_scenarios, stage_scenarios
 
@@ -167,6 +167,7 @@ def state_of(
         "knowledge": None,
         "members": members,
         "trust": torch.ones(len(scenarios), len(members)),
+        "outcomes": torch.zeros(len(scenarios), len(members), dtype=torch.long),
         **dict.fromkeys(("keep", "known", "tried"), keep),
         **more,
     }

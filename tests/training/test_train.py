@@ -14,7 +14,7 @@ from torch import Tensor
 
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.errors import SettingsError
-from cgtorch.improvement.events import Event, Practised, SkillAccepted, StageStarted
+from cgtorch.improvement.events import Event, Practised, SkillAccepted, StageFailed, StageStarted
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.settings import RunSettings
@@ -183,7 +183,7 @@ def test_what_was_asked_adds_up_over_the_stages_and_from_one_process_to_the_next
     training = training_of(run, [])
     training.purse.add("trials", Asked(99))
     results = make(run, Method(*ALL), stage="S1", training=training)
-    once = {"motions": 7, "tests": 2, "looks": 5, "episodes": 5}
+    once = {"motions": 7, "tests": 2, "looks": 5, "episodes": 5, "steps": 0, "simulated": 0}
     twice = {name: 2 * count for name, count in once.items()}
     assert [r["asked"] for r in (first, results[1])] == [{"trials": once}, {"trials": twice}]
     assert first["fresh"]["tried"] == first["overall"]["tried"] == 40
@@ -195,7 +195,7 @@ def test_a_stage_that_accepts_nothing_leaves_no_folder(make: Make, run: StoredRu
     events: list[Event] = []
     with pytest.raises(NotImprovedError, match="stage S0 found no skill"):
         make(run, lambda stage, progress, *given: progress, training=training_of(run, events))
-    assert [type(event) for event in events] == [StageStarted]
+    assert [type(event) for event in events] == [StageStarted, StageFailed]
     assert not (run.folder / "S0").exists()
 
 

@@ -276,15 +276,16 @@ def _add_excludes(spec: Any, robot: Robot, bodies: list[RigidBody], moved: list[
 def _add_servos(mj: Any, spec: Any, bodies: list[RigidBody], servos: dict[str, Servo]) -> None:
     """Add velocity servos of the base, and position servos of joints with gravity compensation."""
 
-    def added(name: str, limit: float) -> Any:
+    def add(name: str, limit: float, gain: float, bias: list[float]) -> None:
         servo = spec.add_actuator(name=name, target=name, trntype=mj.mjtTrn.mjTRN_JOINT)
         servo.forcerange = [-limit, limit]
-        return servo
+        servo.biastype = mj.mjtBias.mjBIAS_AFFINE
+        servo.gainprm[0], servo.biasprm[:3] = gain, bias
 
     for name, (damping, limit) in zip(BASE, base_servos(bodies), strict=True):
-        added(name, limit).set_to_velocity(kv=damping)
-    for name, servo in servos.items():
-        added(name, servo.force).set_to_position(kp=servo.stiffness, dampratio=1.0)
+        add(name, limit, damping, [0.0, 0.0, -damping])
+    for name, servo in servos.items():  # a positive third number is a damping ratio
+        add(name, servo.force, servo.stiffness, [0.0, -servo.stiffness, 1.0])
 
 
 def _box(model: Any, name: str) -> tuple[int, int, int]:

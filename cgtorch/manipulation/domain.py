@@ -1,0 +1,129 @@
+"""Tasks of arms as domains, with primitives as actions and one stage for each task."""
+
+from collections.abc import Mapping
+from functools import cached_property, partial
+from typing import Any, ClassVar
+
+import torch
+from torch import Generator
+
+from cgtorch.domains.domain import Domain, Specialists
+from cgtorch.domains.files import Files
+from cgtorch.graphs import ActionSet, BranchingNN
+from cgtorch.manipulation import fetch, metaworld
+from cgtorch.manipulation.arm import Arm, place_names
+from cgtorch.manipulation.primitives import Wait, primitives
+from cgtorch.manipulation.settings import WITH_ID, FetchSettings, ManipulationSettings
+from cgtorch.manipulation.simulator import Simulator
+from cgtorch.manipulation.world import CONTROL, ArmWorld, Simulators, Starts
+
+MOST_SEEDS = 2**31
+
+
+class ManipulationFiles(Files["Manipulation"]):
+    """A domain of an arm stores nothing but its settings."""
+
+    def made_with(self) -> Mapping[str, str]:
+        """See `Files.made_with`."""
+        from importlib.metadata import version
+
+        return {name: version(name) for name in (self.domain.package, "mujoco")}
+
+
+class Manipulation(Domain[Starts]):
+    """Tasks of an arm; a subclass says of which simulator.
+
+    Attributes:
+        tasks: The distinct tasks by name; scenarios have their numbers.
+    """
+
+    settings: ManipulationSettings
+    settings_type = ManipulationSettings
+    models = None
+    control = CONTROL
+    specialists = Specialists(group=1, widest=32, team=64, stall=12)
+    files = ManipulationFiles
+    package: ClassVar[str]
+    seen: ClassVar[tuple[str, ...]]
+    places: ClassVar[tuple[str, ...]]
+    centre: ClassVar[tuple[float, float, float]]
+    make: ClassVar[type[Simulator]]
+
+    def __init__(self, settings: ManipulationSettings | None = None) -> None:
+        """The tasks of the settings; DomainError if there are none of that name."""
+        super().__init__(settings)
+        every = self.named(self.settings.environment)
+        self.tasks = tuple(dict.fromkeys(every))
+        self.kinds = self.tasks
+        self.stages = {f"{i:02}-{task}": task for i, task in enumerate(every, 1)}
+        several = len(self.tasks) > 1 and self.settings.task_id == WITH_ID
+        ids = self.tasks if several else ()
+        self._ids = {number: number for number in range(len(ids))}
+        self.arm = Arm((*self.seen, "time", *ids), self.places, self.centre)
+        self.percept = self.arm.fields
+        self.simulators = Simulators(partial(_made, self.make, self.settings.horizon), self.tasks)
+
+    @staticmethod
+    def named(name: str) -> tuple[str, ...]:
+        """The tasks of a name, in the order of stages; DomainError if there are none."""
+        raise NotImplementedError
+
+    @cached_property
+    def _size(self) -> int:
+        return max(self.simulators[number].size for number in range(len(self.tasks)))
+
+    def draw(self, kind: str, count: int, generator: Generator) -> Starts:
+        """See `Domain.draw`."""
+        seed = torch.randint(MOST_SEEDS, (count,), generator=generator)
+        return Starts(torch.full((count,), self.tasks.index(kind)), seed)
+
+    def world(self, scenarios: Starts) -> ArmWorld:
+        """See `Domain.world`."""
+        return ArmWorld(scenarios, self.simulators, self.arm, self._size, self._ids)
+
+    def actions(self) -> ActionSet:
+        """See `Domain.actions`: primitives, and a network that branches."""
+        made: dict[str, Any] = {**self.primitives(), "Branch": BranchingNN(len(self.percept))}
+        return ActionSet(tuple(made), tuple(made.values()))
+
+    def primitives(self) -> dict[str, Any]:
+        """The primitives by name."""
+        return primitives(self.arm)
+
+
+class MetaWorld(Manipulation):
+    """Tasks of Meta-World, such as metaworld:push-v3 or metaworld:CW10."""
+
+    package = "metaworld"
+    seen = (
+        *place_names("hand"), "opening",
+        *place_names("object"), *(f"object q{i}" for i in range(4)),
+        *place_names("other"), *(f"other q{i}" for i in range(4)),
+        *place_names("goal"),
+    )  # fmt: skip
+    places = ("object", "other", "goal")
+    centre = (0.0, 0.65, 0.1)
+    make = metaworld.MetaWorldSimulator
+    named = staticmethod(metaworld.tasks_of)
+
+
+class Fetch(Manipulation):
+    """Tasks of Gymnasium-Robotics' Fetch, such as gymnasium-robotics:FetchPush-v4."""
+
+    settings_type = FetchSettings
+    package = "gymnasium-robotics"
+    seen = (*place_names("hand"), *place_names("object"), *place_names("goal"), "opening")
+    places = ("object", "goal")
+    centre = (1.34, 0.75, 0.5)
+    make = fetch.FetchSimulator
+    named = staticmethod(fetch.tasks_of)
+
+    def primitives(self) -> dict[str, Any]:
+        """See `Manipulation.primitives`: shorter ones, as a low-level step is longer."""
+        pace = 1 / 3
+        return {**primitives(self.arm, pace), "Wait": Wait(self.arm, "object", pace)}
+
+
+def _made(make: Any, horizon: int, task: str) -> Simulator:
+    made: Simulator = make(task, horizon)
+    return made

@@ -1,0 +1,130 @@
+"""The world of an arm: states are rows of a simulator, and controls are segments."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from cgtorch.domains.world import World
+from cgtorch.ground.asked import Asked
+from cgtorch.ground.environment import Lanes, ScenarioBatch
+from cgtorch.ground.fields import Field
+from cgtorch.manipulation.arm import Arm
+from cgtorch.manipulation.simulator import CLOSEST, SEEN, SOLVED, STEPS, Simulator
+
+CONTROL = (
+    Field("x", "m"), Field("y", "m"), Field("z", "m"), Field("gripper", low=-1, high=1),
+    Field("low-level steps"), Field("speed", low=0, high=1), Field("near", "m"),
+)  # fmt: skip
+"""The fields of a control; see `cgtorch.manipulation.simulator`."""
+GRADED = 0.45  # the largest value of a state in which the task is not solved
+
+
+@dataclass(frozen=True)
+class Starts(ScenarioBatch):
+    """Starts of episodes: the number of the task and a seed, (B,) long each."""
+
+    task: Tensor
+    seed: Tensor
+
+
+class Simulators:
+    """The simulators of a domain's tasks, which are made when they are first used."""
+
+    def __init__(self, make: Callable[[str], Simulator], tasks: Sequence[str]) -> None:
+        """Those that `make` makes of names of tasks."""
+        self.tasks, self._make = tuple(tasks), make
+        self._made: dict[int, Simulator] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Simulators are not pickled: another process makes its own."""
+        return type(self), (self._make, self.tasks)
+
+    def __getitem__(self, task: int) -> Simulator:
+        """The simulator of a task."""
+        if task not in self._made:
+            self._made[task] = self._make(self.tasks[task])
+        return self._made[task]
+
+    @property
+    def asked(self) -> Asked:
+        """Low-level steps of all of them so far."""
+        made = self._made.values()
+        steps = sum(each.requested for each in made)
+        return Asked(steps=steps, simulated=sum(each.simulated for each in made))
+
+
+class ArmWorld(World):
+    """Episodes of an arm.
+
+    Success is graded: a state in which the task is not solved has a value below one half, which
+    grows with how close the episode came to success.
+    """
+
+    control_size = len(CONTROL)
+
+    def __init__(
+        self, scenarios: Starts, simulators: Simulators, arm: Arm, size: int, ids: Mapping[int, int]
+    ) -> None:
+        """The world of starts, whose states have `size` numbers.
+
+        `ids` has the number of a task in percepts by its number in starts; empty if percepts do not
+        tell it.
+        """
+        super().__init__(scenarios)
+        self._simulators, self._arm, self._size, self._ids = simulators, arm, size, ids
+
+    @property
+    def asked(self) -> Asked:
+        """See `Counting.asked`."""
+        return self._simulators.asked
+
+    @property
+    def percept_size(self) -> int:
+        """D."""
+        return len(self._arm.names)
+
+    def first_state(self, scenario: Tensor) -> Tensor:
+        """See `World.first_state`."""
+        return self._rows([simulator.start(seed) for simulator, seed in self._of(scenario)])
+
+    def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.next_state`."""
+        rows, controls = state.numpy(), control.double().numpy()
+        lanes = zip(self._of(scenario), rows, controls, strict=True)
+        return self._rows([sim.run(row[: sim.size], seed, u) for (sim, seed), row, u in lanes])
+
+    def succeeded(self, state: Tensor) -> Tensor:
+        """See `World.succeeded`."""
+        return state[:, SOLVED] > 0
+
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        """See `Environment.success`; a world's value is graded here."""
+        state = lanes.state
+        graded = GRADED * state[:, CLOSEST].clamp(0, 1)
+        return lanes, torch.where(self.succeeded(state), 1.0, graded).to(lanes.percept)
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        """See `World.perceived`."""
+        seen = state[:, SEEN : SEEN + len(self._arm.names) - 1 - len(self._ids)]
+        horizon = self._simulators[0].horizon
+        percept = self._arm.perceived(seen, state[:, STEPS] / horizon)
+        if not self._ids:
+            return percept
+        number = torch.tensor([self._ids[int(t)] for t in self.scenarios.task[scenario]])
+        one_hot = torch.zeros(len(percept), len(self._ids), dtype=percept.dtype)
+        return torch.cat([percept, one_hot.scatter_(1, number[:, None], 1.0)], 1)
+
+    def _of(self, scenario: Tensor) -> list[tuple[Simulator, int]]:
+        tasks, seeds = self.scenarios.task[scenario].tolist(), self.scenarios.seed[scenario]
+        return [(self._simulators[t], s) for t, s in zip(tasks, seeds.tolist(), strict=True)]
+
+    def _rows(self, rows: Sequence[Any]) -> Tensor:
+        """States (n, S) from rows of any lengths."""
+        state = np.zeros((len(rows), self._size))
+        for i, row in enumerate(rows):
+            state[i, : len(row)] = row
+        return torch.from_numpy(state)
