@@ -24,9 +24,10 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
     """An evaluation in which half the individuals leave before each doubling of the scenarios.
 
     All run on the first scenario, the better half of them on the second, the better half of these
-    on two more, and so on. Who has solved everything so far stays, too. Where an individual has not
-    run, it has not succeeded, and its score is 0, or `WORST` with rewards. With some of W (`keep`)
-    there is no race. For the arguments see `cgtorch.evolution.fitness.evaluator`.
+    on two more, and so on. Who has solved everything so far stays, too, and the race ends where
+    nobody solves anything. Where an individual has not run, it has not succeeded, and its score is
+    0, or `WORST` with rewards. With some of W (`keep`) there is no race. For the arguments see
+    `cgtorch.evolution.fitness.evaluator`.
     """
     if keep.any() or len(keep) < 2:
         return evaluator(actions, environment, keep, **about)
@@ -53,6 +54,8 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
             ran += len(rows)
             more = found.transitions, found.executed, found.not_finite
             counts = [a + b for a, b in zip(counts, more, strict=True)]
+            if not found.succeeded.any():
+                break
         return Evaluation(scores.mean(1), scores, succeeded, *counts)
 
     return evaluation

@@ -72,10 +72,14 @@ def specialist(
         if found is not None and setup.remembers:
             found = _held(setup, found, environment)
             if not found.solved.all():  # what is missed comes first, so that it decides a race
-                order[:size] = order[:size][found.solved.long().argsort(stable=True)]
+                missed_first = found.solved.long().argsort(stable=True)
+                order[:size] = order[:size][missed_first]
+                found = replace(found, solved=found.solved[missed_first])
                 environment = environment_of(order[:size])
         if found is None or not (setup.remembers and found.solved.all()):
-            found = best_of_searches(setup, step, environment, _starters(setup, seeds))
+            new = best_of_searches(setup, step, environment, _starters(setup, seeds))
+            better = found is None or not setup.remembers or new.best > found.best
+            found = new if better else found
         well = bool(found.solved.all()) or found.best >= setup.budget.satisfied
         if size >= len(percepts) or not well:
             break

@@ -41,7 +41,7 @@ class Manipulation(Domain[Starts]):
     settings_type = ManipulationSettings
     models = None
     control = CONTROL
-    specialists = Specialists(group=1, widest=32, team=64, stall=12)
+    specialists = Specialists(group=1, widest=32, team=64, stall=8)
     files = ManipulationFiles
     package: ClassVar[str]
     seen: ClassVar[tuple[str, ...]]
@@ -58,7 +58,7 @@ class Manipulation(Domain[Starts]):
         self.stages = {f"{i:02}-{task}": task for i, task in enumerate(every, 1)}
         several = len(self.tasks) > 1 and self.settings.task_id == WITH_ID
         ids = self.tasks if several else ()
-        self._ids = {number: number for number in range(len(ids))}
+        self.ids = {number: number for number in range(len(ids))}
         self.arm = Arm((*self.seen, "time", *ids), self.places, self.centre)
         self.percept = self.arm.fields
         self.simulators = Simulators(partial(_made, self.make, self.settings.horizon), self.tasks)
@@ -79,7 +79,7 @@ class Manipulation(Domain[Starts]):
 
     def world(self, scenarios: Starts) -> ArmWorld:
         """See `Domain.world`."""
-        return ArmWorld(scenarios, self.simulators, self.arm, self._size, self._ids)
+        return ArmWorld(scenarios, self.simulators, self.arm, self._size, self.ids)
 
     def actions(self) -> ActionSet:
         """See `Domain.actions`: primitives, and a network that branches."""

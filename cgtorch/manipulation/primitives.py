@@ -20,8 +20,9 @@ OFFSET, WAY = 0.03, 0.1  # m by which one unit of a parameter moves a target
 SMALL = 0.4  # the standard deviation of offsets of new nodes, in units of `OFFSET`
 CLEARANCE = 0.08  # m above a thing from which the hand comes down to it
 FAR, NEAR, SHORT = 45, 25, 30  # low-level steps of segments, at most
-ARRIVED = 0.01  # m from a target on each axis, where a segment ends
-FINGERS = 15  # low-level steps in which a gripper opens or closes
+ARRIVED, PASSED = 0.01, 0.03
+"""Distances from a target on each axis, in m, where a segment ends, and where one on the way does."""
+FINGERS = 12  # low-level steps in which a gripper opens or closes
 OPENED, CLOSED = 0.0, 1.0  # in the memory
 
 SOLVED, OVER = 2, 1
@@ -79,7 +80,8 @@ class Primitive(Action):
     ) -> Lanes:
         """The lanes after the hand came to a target (n, 3) from above."""
         high = torch.maximum(self.at(lanes)[:, 2:], target[:, 2:] + clear)
-        lanes = self.go(lanes, environment, torch.cat([target[:, :2], high], 1), FAR)
+        above = torch.cat([target[:, :2], high], 1)
+        lanes = self.go(lanes, environment, above, FAR, near=PASSED)
         return self.go(lanes, environment, target, NEAR)
 
     def fingers(self, lanes: Lanes, environment: Environment, state: float) -> Lanes:
@@ -175,7 +177,7 @@ class Insert(Carry):
         """See `Action.forward`."""
         target, hand = self.carried(lanes, parameters), self.at(lanes)
         aside = torch.cat([hand[:, :1], target[:, 1:]], 1)
-        lanes = self.go(lanes, environment, aside, FAR)
+        lanes = self.go(lanes, environment, aside, FAR, near=PASSED / 2)
         return self.ended(self.go(lanes, environment, target, FAR), environment)
 
 
@@ -191,8 +193,9 @@ class Place(Carry):
         target, hand = self.carried(lanes, parameters[:, :3]), self.at(lanes)
         rise = (WAY + WAY / 2 * parameters[:, 3:]).clamp_min(0)
         high = torch.maximum(hand[:, 2:], target[:, 2:]) + rise
-        lanes = self.go(lanes, environment, torch.cat([hand[:, :2], high], 1), SHORT)
-        lanes = self.go(lanes, environment, torch.cat([target[:, :2], high], 1), FAR)
+        for way in (hand, target):
+            above = torch.cat([way[:, :2], high], 1)
+            lanes = self.go(lanes, environment, above, FAR, near=PASSED)
         return self.ended(self.go(lanes, environment, target, NEAR), environment)
 
 

@@ -17,7 +17,7 @@ class ManipulationSettings(DomainSettings):
         "models": "none",
         "population": 24,
         "generations": 40,
-        "practice": 20,
+        "practice": 50,
         "max_transitions": 16,
         "attempts": 8,
     }

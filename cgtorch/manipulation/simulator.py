@@ -31,11 +31,15 @@ class Simulator(ABC):
         horizon: Low-level steps of an episode.
         seen: How many numbers are seen.
         states: The states of the environment.
+        at_the_end: Whether a task has to be solved at the last step of an episode, not at any.
+        gain: The share of full speed per metre that is left.
         simulated: Low-level steps so far.
         requested: Low-level steps so far, those that were remembered included.
     """
 
     seen: int
+    at_the_end: bool = False
+    gain: float = 15.0
     states: MujocoStates
 
     def __init__(self, horizon: int) -> None:
@@ -69,9 +73,6 @@ class Simulator(ABC):
     def closeness(self, observation: Any) -> float:
         """How close an observation at a start is to success, in [0, 1]."""
 
-    gain: float = 10.0
-    """The share of full speed per metre that is left."""
-
     def start(self, seed: int) -> Floats:
         """The row of a start."""
         state, observation = self.states.start(seed)
@@ -80,7 +81,7 @@ class Simulator(ABC):
 
     def over(self, row: Floats) -> bool:
         """Whether the episode of a row is over."""
-        return bool(row[SOLVED]) or row[STEPS] >= self.horizon
+        return bool(row[SOLVED] or row[STEPS] >= self.horizon)
 
     def run(self, row: Floats, seed: int, control: Floats) -> Floats:
         """The row after a control; the same row if the episode is over."""
@@ -103,7 +104,7 @@ class Simulator(ABC):
         limit = int(np.clip(control[LIMIT], 1, self.horizon - row[STEPS]))
         speed = np.clip(control[SPEED], 0.05, 1.0)
         done, solved, closest, found = 0, False, row[CLOSEST], None
-        while done < limit and not solved:
+        while done < limit and not (solved and not self.at_the_end):
             way = control[:GRIP] - self.hand()
             fast = self.gain * way
             fast *= min(1.0, speed / max(np.abs(fast).max(), 1e-9))
@@ -112,9 +113,11 @@ class Simulator(ABC):
             last = done == limit or arrived
             found = self.move(np.array([*fast, control[GRIP]]), last) or found
             if found is not None:
-                closest, solved = max(closest, found[1]), found[2]
+                now, solved = found[1:]
+                closest = now if self.at_the_end else max(closest, now)
             if last:
                 break
         assert found is not None  # noqa: S101  the last step is looked at
+        solved &= not self.at_the_end or row[STEPS] + done >= self.horizon
         head = [row[STEPS] + done, float(solved), closest]
         return np.concatenate([head, self.perceive(found[0]), self.states.read()])
