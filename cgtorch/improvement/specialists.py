@@ -57,7 +57,8 @@ def specialist(
     many. This detects chance successes on a few, while most of the search runs on a few. Returned
     are also the indices (r,) of the largest group, and what it solves of that (r,).
     """
-    step, size, found = name, len(percepts), None
+    step, size = name, len(percepts)
+    found: Found | None = None
     order = torch.arange(size)
     if setup.widest > setup.group:
         size = min(setup.group, size)
@@ -78,8 +79,8 @@ def specialist(
                 environment = environment_of(order[:size])
         if found is None or not (setup.remembers and found.solved.all()):
             new = best_of_searches(setup, step, environment, _starters(setup, seeds))
-            better = found is None or not setup.remembers or new.best > found.best
-            found = new if better else found
+            kept = found is not None and setup.remembers and new.best <= found.best
+            found = found if found is not None and kept else new
         well = bool(found.solved.all()) or found.best >= setup.budget.satisfied
         if size >= len(percepts) or not well:
             break

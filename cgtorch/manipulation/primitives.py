@@ -5,7 +5,7 @@ world. Its parameters are offsets, in units of `OFFSET` or `WAY`, from places th
 tells. It ends the skill when the task is solved, and when the time is over.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -21,7 +21,7 @@ SMALL = 0.4  # the standard deviation of offsets of new nodes, in units of `OFFS
 CLEARANCE = 0.08  # m above a thing from which the hand comes down to it
 FAR, NEAR, SHORT = 45, 25, 30  # low-level steps of segments, at most
 ARRIVED, PASSED = 0.01, 0.03
-"""Distances from a target on each axis, in m, where a segment ends, and where one on the way does."""
+"""Distances from a target on each axis, in m, where a segment ends, or one of several."""
 FINGERS = 12  # low-level steps in which a gripper opens or closes
 OPENED, CLOSED = 0.0, 1.0  # in the memory
 
@@ -79,10 +79,19 @@ class Primitive(Action):
         self, lanes: Lanes, environment: Environment, target: Tensor, clear: float = CLEARANCE
     ) -> Lanes:
         """The lanes after the hand came to a target (n, 3) from above."""
-        high = torch.maximum(self.at(lanes)[:, 2:], target[:, 2:] + clear)
-        above = torch.cat([target[:, :2], high], 1)
-        lanes = self.go(lanes, environment, above, FAR, near=PASSED)
+        hand = self.at(lanes)
+        high = torch.maximum(hand[:, 2:], target[:, 2:] + clear)
+        lanes = self.over(lanes, environment, (hand, target), high)
         return self.go(lanes, environment, target, NEAR)
+
+    def over(
+        self, lanes: Lanes, environment: Environment, ways: Sequence[Tensor], high: Tensor
+    ) -> Lanes:
+        """The lanes after the hand passed over points (n, 3) at a height (n, 1)."""
+        for way in ways:
+            above = torch.cat([way[:, :2], high], 1)
+            lanes = self.go(lanes, environment, above, FAR, near=PASSED)
+        return lanes
 
     def fingers(self, lanes: Lanes, environment: Environment, state: float) -> Lanes:
         """The lanes after the gripper opened or closed."""
@@ -193,9 +202,7 @@ class Place(Carry):
         target, hand = self.carried(lanes, parameters[:, :3]), self.at(lanes)
         rise = (WAY + WAY / 2 * parameters[:, 3:]).clamp_min(0)
         high = torch.maximum(hand[:, 2:], target[:, 2:]) + rise
-        for way in (hand, target):
-            above = torch.cat([way[:, :2], high], 1)
-            lanes = self.go(lanes, environment, above, FAR, near=PASSED)
+        lanes = self.over(lanes, environment, (hand, target), high)
         return self.ended(self.go(lanes, environment, target, NEAR), environment)
 
 

@@ -18,7 +18,6 @@ STEPS, SOLVED, CLOSEST, SEEN = range(4)
 X, Y, Z, GRIP, LIMIT, SPEED, NEAR = range(7)
 """Columns of a control: a target in m, -1 to open the gripper or 1 to close it, low-level steps at
 most, a share of the full speed, and the distance on each axis, in m, at which the motion ends."""
-SETTLING = 3  # low-level steps before a motion can end near its target
 REMEMBERED = 40_000  # segments, of about 4 kB each
 
 Floats = NDArray[np.float64]
@@ -109,7 +108,7 @@ class Simulator(ABC):
             fast = self.gain * way
             fast *= min(1.0, speed / max(np.abs(fast).max(), 1e-9))
             done += 1
-            arrived = done > SETTLING and np.abs(way).max() < control[NEAR]
+            arrived = done > 1 and np.abs(way).max() < control[NEAR]
             last = done == limit or arrived
             found = self.move(np.array([*fast, control[GRIP]]), last) or found
             if found is not None:

@@ -1,0 +1,120 @@
+"""Robot benchmarks as domains: names, stages, percepts, graded success, and a whole training."""
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from arms import chain, fetch, meta_world, starts
+
+from cgtorch.domains.registry import is_code, make_domain, settings_class
+from cgtorch.ground.environment import start_lanes
+from cgtorch.ground.errors import DomainError
+from cgtorch.manipulation.metaworld import CW10
+from cgtorch.manipulation.settings import FetchSettings, ManipulationSettings
+from cgtorch.manipulation.simulator import CLOSEST, SEEN, SOLVED
+from cgtorch.runs.log import read_log
+from cgtorch.simulation import rollout
+from cgtorch.training.run import open_run, train
+
+
+def test_domains_have_names() -> None:
+    assert not is_code("metaworld:CW10")
+    assert not is_code("gymnasium-robotics:FetchPush-v4")
+    assert settings_class("metaworld:push-v3") is ManipulationSettings
+    assert settings_class("gymnasium-robotics:FetchPush-v4") is FetchSettings
+    assert make_domain("metaworld:push-v3").kinds == ("push-v3",)
+    assert make_domain("gymnasium-robotics:FetchReach-v4").kinds == ("FetchReach-v4",)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("metaworld:push-v9", "no task or set 'push-v9'"),
+        ("metaworld", "names no environment; give metaworld:NAME, such as metaworld:push-v3"),
+        ("gymnasium-robotics:FetchFly-v4", "no task 'FetchFly-v4'; give one of FetchReach-v4"),
+    ],
+)
+def test_unknown_tasks_are_refused(name: str, said: str) -> None:
+    with pytest.raises(DomainError, match=said):
+        make_domain(name)
+
+
+def test_sets_are_stages_in_their_order() -> None:
+    twice = meta_world("CW20")
+    assert twice.tasks == CW10
+    assert list(twice.stages.values()) == [*CW10, *CW10]
+    assert list(twice.stages)[::10] == ["01-hammer-v3", "11-hammer-v3"]
+    assert len(meta_world("MT50").stages) == 50
+    assert len(meta_world("MT10").stages) == 10
+
+
+def test_percepts_tell_the_task_if_they_are_to() -> None:
+    one, given, hidden = meta_world(), meta_world("CW10"), meta_world("CW10", task_id="hidden")
+    assert len(given.percept) == len(one.percept) + 10
+    assert [field.name for field in given.percept[-10:]] == list(CW10)
+    assert len(hidden.percept) == len(one.percept)
+    world = given.world(starts(given, 3, task=6))
+    percept = world.start(torch.tensor([0]))[1]
+    assert percept[0, -10:].tolist() == [0, 0, 0, 0, 0, 0, 1, 0, 0, 0]
+    alone = one.world(starts(one, 3)).start(torch.tensor([0]))[1]
+    assert torch.equal(percept[:, :-10], alone)
+
+
+def test_percepts_are_around_one() -> None:
+    for domain in (meta_world(), fetch()):
+        world = domain.world(starts(domain, *range(4)))
+        percept = world.start(torch.arange(4))[1]
+        assert percept.shape == (4, len(domain.percept))
+        assert percept.abs().max() < 4
+
+
+def test_success_is_graded_below_one_half() -> None:
+    domain = meta_world("reach-v3")
+    world = domain.world(starts(domain, 5, 6))
+    actions = domain.actions()
+    there = rollout(chain(domain, ("ReachGoal", (0.0,) * 3)), actions, world)
+    near = rollout(chain(domain, ("ReachGoal", (5.0, 0.0, 0.0))), actions, world, max_transitions=1)
+    first = world.start(torch.arange(2))[0]
+    begun = start_lanes(world, torch.arange(2), 0, 0)
+    for state in (first, near.state[0]):
+        assert not state[:, SOLVED].any()
+    values = []
+    for state in (first, near.state[0], there.state[0]):
+        lanes = replace(begun, state=state)
+        values.append(world.success(lanes)[1])
+        assert torch.equal(world.success(lanes)[1] > 0.5, state[:, SOLVED] > 0)
+    assert (values[0] < values[1]).all()
+    assert (values[1] < 0.46).all()
+    assert (values[2] == 1).all()
+    assert torch.equal(near.state[0][:, CLOSEST] > 0.1, torch.ones(2, dtype=torch.bool))
+
+
+def test_a_domain_can_be_pickled_for_another_process() -> None:
+    domain = meta_world("reach-v3")
+    sent = pickle.dumps(domain.world(starts(domain, 5)))
+    world = pickle.loads(sent)  # noqa: S301  of our own
+    mine = domain.world(starts(domain, 5)).start(torch.tensor([0]))[1]
+    assert torch.equal(world.start(torch.tensor([0]))[1], mine)
+
+
+def test_a_skill_is_trained_counted_and_tried(tmp_path: Path) -> None:
+    """One after the other; what the first has learned is kept, and steps are counted by phase."""
+    few = {"population": 12, "practice": 6}
+    run = train("metaworld:MT10", tmp_path / "run", stage="01-reach-v3", seed=1, **few)
+    assert run.stages == ("01-reach-v3",)
+    rows = [row for row in read_log(run.folder) if row["event"] == "asked"]
+    phases = {row["phase"] for row in rows}
+    assert {"search", "practice"} <= phases
+    assert all(row["simulated"] <= row["steps"] for row in rows)
+    total = sum(row["steps"] for row in rows)
+    assert 0 < total < 60_000
+    assert sum(a["steps"] for a in run.results[-1]["asked"].values()) == total
+    again = open_run(run.folder)
+    assert again.evaluate(scenarios="reach-v3", count=10).successes >= 8
+    row = rollout(
+        run.skill.graph, run.skill.actions, run.domain.world(starts(run.domain, 3)),
+        max_transitions=run.skill.max_transitions,
+    ).state[0, 0]  # fmt: skip
+    assert row[SEEN:].isfinite().all()
