@@ -18,7 +18,7 @@ from cgtorch.domains.models import Models
 from cgtorch.domains.pictures import Pictures
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, Step, Test, reward_actions
-from cgtorch.ground.environment import Environment, Rewarded, ScenarioBatch
+from cgtorch.ground.environment import Environment, Episodic, Rewarded, ScenarioBatch
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.fields import Field
 from cgtorch.improvement.compose import local_group
@@ -142,6 +142,11 @@ def other_measures(domain: Domain[Any]) -> Mapping[str, Domain[Any]]:
 def rewarded(domain: Domain[Any]) -> bool:
     """Whether a domain's world gives returns."""
     return isinstance(domain.world(domain.draw(domain.kinds[0], 1, Generator())), Rewarded)
+
+
+def episodic(domain: Domain[Any]) -> bool:
+    """Whether a domain's world has episodes that end by themselves."""
+    return isinstance(domain.world(domain.draw(domain.kinds[0], 1, Generator())), Episodic)
 
 
 def noisy(domain: Domain[Any]) -> bool:
