@@ -21,7 +21,7 @@ from cgtorch.domains.registry import NOT_FOUND, foreign
 from cgtorch.ground.errors import DomainError, WorldError
 
 MOST = 64
-"""Number of environments at once; one of a robot's simulation takes 10 to 90 MB."""
+"""Number of environments at once; see docs/decisions/interface.md."""
 PRIME = 1_000_003
 KEYS = 2**48  # so that keys are whole numbers in float64
 

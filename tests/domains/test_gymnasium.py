@@ -13,10 +13,10 @@ from support import seeded
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.gymnasium import Gymnasium, scaling_of
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_world import PlayedWorld, VectorSteps
+from cgtorch.domains.gymnasium_world import Played, PlayedWorld, VectorSteps
 from cgtorch.domains.registry import make_domain
 from cgtorch.evolution.population import random_population
-from cgtorch.ground.environment import Lanes, start_lanes
+from cgtorch.ground.environment import Bounded, Lanes, start_lanes
 from cgtorch.ground.errors import DomainError, WorldError
 from cgtorch.simulation import rollout
 
@@ -124,6 +124,21 @@ def test_rollouts_are_repeatable_and_carry_returns() -> None:
     # An episode that nobody acts in has no return.
     assert (one.returns[~finished] == -torch.inf).all()
     assert not one.succeeded[~finished].any()
+
+
+def test_many_lanes_run_in_parts_with_the_same_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    domain = domain_of("Acrobot-v1")
+    graphs = random_population(6, domain.actions(), 8, (2, 6), seeded(0)).graphs
+    world = domain.world(domain.draw("starts", 5, seeded(1)))
+    assert isinstance(world, Bounded)
+    limit = {"max_transitions": 2000}
+    whole = rollout(graphs, domain.actions(), world, **limit)
+    for most in (12, 3):  # two graphs at once, and a part of the scenarios of one
+        monkeypatch.setattr(Played, "most_lanes", most)
+        found = rollout(graphs, domain.actions(), world, **limit)
+        assert found.executed == whole.executed
+        for name in ("succeeded", "timed_out", "percept", "transitions", "returns"):
+            assert torch.equal(getattr(found, name), getattr(whole, name)), name
 
 
 def test_the_target_is_the_environments_own_or_given() -> None:
