@@ -31,7 +31,7 @@ from cgtorch.domains.gymnasium_world import (
     VectorWorld,
 )
 from cgtorch.domains.pictures import Pictures
-from cgtorch.graphs import ActionSet, reward_actions
+from cgtorch.graphs import ActionSet, Test, reward_actions
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import DomainError
 from cgtorch.ground.files import read_json, write_json
@@ -177,8 +177,13 @@ class Gymnasium(Domain[Starts]):
         return PlayedWorld(*common, target=self.target_return)
 
     def actions(self) -> ActionSet:
-        """See `Domain.actions`: as episodes end by themselves, there is no test of success."""
-        return reward_actions(len(self.percept), len(self.control))
+        """See `Domain.actions`; there is a test where it may be success that ends an episode.
+
+        The world ends these episodes by itself, but learned models do not.
+        """
+        every, success = reward_actions(len(self.percept), len(self.control)), self.known.success
+        ends = success is not None and not success.at_last
+        return every.extended(["Test"], [Test()]) if ends else every
 
     def _found(self) -> Known:
         """What random episodes tell."""

@@ -5,6 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from cgtorch.domains.domain import rewarded
 from cgtorch.domains.registry import (
     driver_of,
     full_name,
@@ -145,7 +146,9 @@ def train(
     """
     spec, made = spec_of(domain)
     kind = settings_class(spec) if made is None else type(made.settings)
-    returns = "target_return" in {f.name for f in fields(kind)} and not settings.get("success")
+    returns = "target_return" in {f.name for f in fields(kind)} and (
+        not settings.get("success") if made is None else rewarded(made)
+    )
     aim = {"target_return" if returns else "target": target}
     request, rest = TrainingRequest.taken_from({"stage": stage, **aim, **settings})
     own = {f.name: rest.pop(f.name) for f in fields(kind) if f.name in rest}

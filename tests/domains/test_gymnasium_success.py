@@ -9,6 +9,7 @@ import pytest
 import torch
 from support import seeded
 
+import cgtorch
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.domain import rewarded
 from cgtorch.domains.gymnasium import Gymnasium
@@ -128,6 +129,24 @@ def test_a_name_that_random_episodes_do_not_show_is_told() -> None:
     silent: Any = make_domain(f"gymnasium:{ZOO}", GymnasiumSettings(success="won"))
     assert remarks_of(silent) == ["No info of 20 random episodes has won, as infos were empty."]
     assert silent.known.success.spread == 1  # of rewards that are always 1
+
+
+def test_a_test_may_end_what_a_success_ends() -> None:
+    assert "Test" in domain_of(success="is_success").actions().names
+    assert "Test" not in domain_of(success="is_success", success_at="last").actions().names
+    assert "Test" not in domain_of(target_return=-3.0).actions().names
+
+
+def test_the_target_in_python_is_a_share(tmp_path: Path) -> None:
+    own = {"percepts": ("achieved_goal",), "env": {"speed": 0.9}, "success": "is_success"}
+    name = f"gymnasium:{GOAL}"
+    made = cgtorch.make(name, **own)
+    for folder, domain, settings in (("one", name, own), ("two", made, {})):
+        about: Any = {"target": 0.6, "quiet": True, "watch": lambda event: True, **settings}
+        run = cgtorch.train(domain, tmp_path / folder, **about)
+        assert run.settings.domain == name
+        assert run.domain.settings == made.settings
+        assert '"target": 0.6' in (run.folder / "run.json").read_text()
 
 
 def test_success_that_is_no_number() -> None:
