@@ -130,11 +130,6 @@ def recurrent_actions(size: int = 7) -> ActionSet:
     return paper.extended(["RecurrentNN", "Visits", "LinearNN", "DelayNN"], own)
 
 
-def endless_actions() -> ActionSet:
-    """The paper's actions and one of our own, none of which ends a skill without success."""
-    return paper_actions().extended(["Visits"], [Visits()])
-
-
 def nested_actions(
     seed: int = 0, base: ActionSet | None = None, limits: tuple[int, int] = (3, 5)
 ) -> ActionSet:

@@ -66,7 +66,7 @@ def test_files_are_written(left: dict[str, Any]) -> None:
         "skill.svg",
         "machine.py",
         "skill.mmd",
-        "five.png",
+        "seeds.png",
         "report.html",
         "log.csv",
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "tutorial.md"
-SHORT = "--target 0.6 --practice 12 --attempts 12"
+SHORT = "--target 0.6 --practice 8 --attempts 12 --generations 40"
 
 
 def ran(words: list[str], folder: Path) -> str:

@@ -29,7 +29,8 @@ import click
 from options.seeds import seeds_option
 
 from cgtorch.commands.train import command as train
-from cgtorch.domains.gymnasium_world import Episode, VectorSteps
+from cgtorch.domains.gymnasium_episodes import Episode
+from cgtorch.domains.gymnasium_world import VectorSteps
 from cgtorch.ground.files import read_json, write_json
 from cgtorch.runs.log import read_log
 
@@ -103,8 +104,8 @@ def counted(training: Callable[[], Any]) -> dict[str, float]:
     counts = Counts()
     plain_play, plain_step = Episode.play, VectorSteps.step
 
-    def play(episode: Episode, action: Any) -> Any:
-        found = plain_play(episode, action)
+    def play(episode: Episode, *action: Any) -> Any:
+        found = plain_play(episode, *action)
         counts.add(1, int(found[2]))
         return found
 

@@ -9,7 +9,14 @@ from typing import Any
 import click
 
 from cgtorch.commands import common, completion
-from cgtorch.domains.registry import check_options, domain_class, is_code, settings_class
+from cgtorch.domains.registry import (
+    check_options,
+    domain_class,
+    full_name,
+    is_code,
+    settings_class,
+    with_name,
+)
 from cgtorch.ground.errors import CgtorchError, SettingsError
 from cgtorch.ground.files import read_json
 from cgtorch.runs.settings import NAMES, Goal, RunSettings, defaults_of, help_of, option_of
@@ -25,6 +32,7 @@ Examples:
   cgtorch-train --stage auto --robot fetch --run-dir runs/fetch
   cgtorch-train --stage S3 --world mujoco --run-dir runs/physics
   cgtorch-train --domain gymnasium:CartPole-v1 --run-dir runs/cartpole
+  cgtorch-train --domain gymnasium:gymnasium_robotics:FetchReach-v4
   cgtorch-train --domain my_package.cart:Cart --run-dir runs/cart
   cgtorch-train --domain my_package.cart:Cart --data log.csv --transitions 0
   cgtorch-train --domain my_package.cart:Cart --help
@@ -96,13 +104,14 @@ def _options(spec: str) -> list[click.Option]:
 
 def _option(f: Field[Any], default: Any, text: str) -> click.Option:
     """The option of a field made by `cgtorch.domains.settings.option`, with its help."""
-    choices = f.metadata["choices"]
+    choices, several = f.metadata["choices"], isinstance(f.default, tuple)
     kinds = completion.kinds_of_domain if f.name == "scenarios" else None
     return click.Option(
         [option_of(f.name), f.name],
-        type=type(f.default),
+        type=str if several else type(f.default),
+        multiple=several,
         default=default,
-        show_default=f.default != "",
+        show_default=f.default not in ("", ()),
         help=text,
         shell_complete=completion.one_of(choices) if choices else kinds,
     )
@@ -120,8 +129,8 @@ def _option(f: Field[Any], default: Any, text: str) -> click.Option:
     default=RunSettings.domain,
     show_default=True,
     shell_complete=completion.domains,
-    help="The domain of the run: tabletop, gymnasium:ENV_ID, the name of an installed domain, or "
-    "package.module:Class. Add --help to list the domain's own options.",
+    help="The domain of the run: tabletop, gymnasium:ENV_ID, gymnasium:module:ENV_ID, the name of "
+    "an installed domain, or package.module:Class. Add --help to list the domain's own options.",
 )
 @click.option(
     "--stage",
@@ -185,6 +194,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     # Torch takes a second to import, so that help and usage errors come without it.
     with common.importing():
         from cgtorch.commands.training import begin, carry_on
+        from cgtorch.domains.domain import rewarded
         from cgtorch.domains.registry import driver_of
         from cgtorch.ground.distributed import together
         from cgtorch.runs.stored_run import read_run
@@ -197,34 +207,37 @@ def command(context: click.Context, /, **options: Any) -> None:
     settings = {*NAMES, *of_domain} & set(options) - {"actions", "domain", "driver"}
     wanted = {name: options[name] for name in given & settings}
     aims = {f.name: options[f.name] for f in fields(Goal) if f.name in given}
-    if "target" in aims and "target_return" in of_domain:
-        wanted["target_return"] = aims.pop("target")
     overrides = _overrides(context, {*NAMES, *of_domain}, options["override"])
-    request = TrainingRequest(
-        stage=options["stage"],
-        goal=aims,
-        budget=_budget(options["budget"]),
-        device=options["device"],
-        checkpoint_seconds=options["checkpoint_seconds"],
-    )
+    how = {name: options[name] for name in ("stage", "device", "checkpoint_seconds")}
+    budget = _budget(options["budget"])
+
+    def request(returns: bool) -> TrainingRequest:
+        if returns and "target" in aims and "target_return" in of_domain:
+            wanted["target_return"] = aims.pop("target")
+        return TrainingRequest(goal=aims, budget=budget, **how)
+
+    named = own(**{name: wanted[name] for name in {"wrappers"} & set(wanted)})
     actions, domain, quiet = options["actions"], options["domain"], options["quiet"]
+    domain = full_name(domain, with_name(domain, named))
     if options["resume"]:
         if "run_dir" in given:
             raise SettingsError("--run-dir cannot change in a run that has begun; leave it out")
         spec = domain if "domain" in given else None
         with together():
             run = read_run(options["resume"], actions, spec, options["driver"] or None)
-            carry_on(run, wanted, overrides, request, quiet)
+            asked = request("target_return" in of_domain and rewarded(run.domain))
+            carry_on(run, wanted, overrides, asked, quiet)
         return
     if overrides:
         raise SettingsError("--override is for a run that has begun; add --resume RUN")
+    asked = request(not wanted.get("success"))
     domain_settings = own(**{k: v for k, v in wanted.items() if k in of_domain})
     values = {name: options[name] for name in settings & set(NAMES)}
     driver = options["driver"] or driver_of(domain)
     run_settings = RunSettings(**values, actions=tuple(actions), domain=domain, driver=driver)
     folder = options["run_dir"] or Path("runs") / f"seed-{run_settings.seed}"
     with together():
-        begin(folder, run_settings, domain_settings, request, quiet)
+        begin(folder, run_settings, domain_settings, asked, quiet)
 
 
 def _budget(text: str | None) -> dict[str, float]:

@@ -18,7 +18,13 @@ from cgtorch.domains.models import Models
 from cgtorch.domains.pictures import Pictures
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, Step, Test, reward_actions
-from cgtorch.ground.environment import Counting, Environment, Rewarded, ScenarioBatch
+from cgtorch.ground.environment import (
+    Counting,
+    Environment,
+    Episodic,
+    Rewarded,
+    ScenarioBatch,
+)
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.fields import Field
 from cgtorch.improvement.compose import local_group
@@ -152,6 +158,11 @@ def rewarded(domain: Domain[Any]) -> bool:
 def counting(domain: Domain[Any]) -> bool:
     """Whether motions in a domain's world consist of low-level steps, which it counts."""
     return isinstance(domain.world(domain.draw(domain.kinds[0], 1, Generator())), Counting)
+
+
+def episodic(domain: Domain[Any]) -> bool:
+    """Whether a domain's world has episodes that end by themselves."""
+    return isinstance(domain.world(domain.draw(domain.kinds[0], 1, Generator())), Episodic)
 
 
 def noisy(domain: Domain[Any]) -> bool:

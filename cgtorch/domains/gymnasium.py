@@ -1,10 +1,12 @@
-"""Any Gymnasium environment with vector observations as a domain.
+"""Any Gymnasium environment as a domain.
 
-Scenarios are seeds of `reset`. A percept is the observation, scaled to numbers around 1. A control
-is an action, or one number for each discrete action, of which the largest is taken. Skills are
-evolved in the environment itself, and returns are those of Gymnasium.
+Scenarios are seeds of `reset`. A percept has the numbers of an observation, scaled to numbers
+around 1. A control has the numbers of an action, and one number for each discrete choice, of which
+the largest is taken. Skills are evolved in the environment itself. Returns are those of Gymnasium,
+or there are none, and the info of a step tells of success.
 """
 
+import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,28 +14,34 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
+from numpy.typing import NDArray
 from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain, Specialists
 from cgtorch.domains.files import Files
+from cgtorch.domains.gymnasium_episodes import Episodes
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_world import (
-    Episodes,
     GymnasiumWorld,
     PlayedWorld,
     Scaling,
+    Success,
+    SuccessWorld,
     VectorSteps,
     VectorWorld,
 )
 from cgtorch.domains.pictures import Pictures
+from cgtorch.graphs import ActionSet, Test, reward_actions
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import DomainError
-from cgtorch.ground.fields import Field
 from cgtorch.ground.files import read_json, write_json
 
 FILE = "gymnasium.json"
 LOOKS = 20  # random episodes that tell the scale of numbers without bounds
 STEPS = 200  # of each at most
+EVEN = 1e-6  # the largest spread of numbers that do not vary
+FAMILIAR = ("is_success", "success")
+"""Names in the info of a step that tell of success in many environments."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,23 @@ class Starts(ScenarioBatch):
     seed: Tensor
 
 
+@dataclass(frozen=True)
+class Known:
+    """What random episodes tell before a training, which the run keeps.
+
+    Attributes:
+        scaling: The scaling of observations.
+        success: What an info says of success; None if returns count.
+        target: The return from which an episode is solved, if returns count.
+        remark: A sentence about what was found; "" if there is nothing to say.
+    """
+
+    scaling: Scaling
+    success: Success | None = None
+    target: float = 0.0
+    remark: str = ""
+
+
 class EpisodePictures(Pictures["Gymnasium"]):
     """Words for episodes."""
 
@@ -50,20 +75,32 @@ class EpisodePictures(Pictures["Gymnasium"]):
 
     def about(self) -> list[tuple[str, str]]:
         """See `Pictures.about`."""
-        return [
-            ("Environment", self.domain.settings.environment),
-            ("Solved from a return of", f"{self.domain.target_return:g}"),
-        ]
+        success = self.domain.known.success
+        solved = ("Solved from a return of", f"{self.domain.target_return:g}")
+        if success is not None:
+            when = "at the last step of an episode" if success.at_last else "at any step"
+            solved = ("Solved by", f"{success.name} in the info, {when}")
+        remarks = [("Remark", remark) for remark in self.remarks()]
+        return [("Environment", self.domain.settings.environment), solved, *remarks]
+
+    def remarks(self) -> list[str]:
+        """See `Pictures.remarks`."""
+        found, left_out = self.domain.known.remark, self.domain.episodes.percepts.left_out
+        unasked = left_out and not self.domain.settings.percepts
+        lacks = f"Percepts lack {', '.join(left_out)}, which has no fixed numbers."
+        return [*([found] if found else []), *([lacks] if unasked else [])]
 
 
-class ScalingFiles(Files["Gymnasium"]):
-    """The scaling of observations, and the return that counts as solved."""
+class KnownFiles(Files["Gymnasium"]):
+    """What random episodes told, as `Known`."""
 
     def write(self, folder: Path) -> None:
         """See `Files.write`."""
-        scaling = self.domain.scaling
+        known = self.domain.known
+        scaling, success = known.scaling, known.success
         about = {"centre": scaling.centre.tolist(), "scale": scaling.scale.tolist()}
-        write_json(folder / FILE, {**about, "target_return": self.domain.target_return})
+        solved = {"success": vars(success)} if success else {"target_return": known.target}
+        write_json(folder / FILE, {**about, **solved, "remark": known.remark})
 
     @classmethod
     def read(cls, kind: type["Gymnasium"], settings: Any, folder: Path) -> "Gymnasium":
@@ -73,12 +110,13 @@ class ScalingFiles(Files["Gymnasium"]):
             scaling = Scaling(
                 *(torch.tensor(data[n], dtype=torch.float64) for n in ("centre", "scale"))
             )
-            target = float(data["target_return"])
+            success = _success(data["success"]) if "success" in data else None
+            target = 0.0 if success else float(data["target_return"])
             if not (scaling.scale > 0).all() or not scaling.centre.isfinite().all():
                 raise ValueError("a scale is not above 0")
         except (KeyError, TypeError, ValueError, RuntimeError) as e:
             raise DomainError(f"{str(folder / FILE)!r} is damaged ({e}); restore the file") from e
-        made = kind(settings, scaling, target)
+        made = kind(settings, Known(scaling, success, target, str(data.get("remark", ""))))
         if scaling.scale.shape != scaling.centre.shape or len(scaling.scale) != len(made.percept):
             raise DomainError(f"{str(folder / FILE)!r} is of another environment; restore the file")
         return made
@@ -88,6 +126,11 @@ class ScalingFiles(Files["Gymnasium"]):
         import gymnasium
 
         return {"gymnasium": gymnasium.__version__}
+
+    def options(self, folder: Path) -> Mapping[str, str]:
+        """See `Files.options`."""
+        success = self.domain.known.success
+        return {} if success is None else {"success": success.name}
 
 
 class Gymnasium(Domain[Starts]):
@@ -99,30 +142,26 @@ class Gymnasium(Domain[Starts]):
     kinds = ("starts",)
     specialists = Specialists(group=8, widest=32, stall=100)
     pictures = EpisodePictures
-    files = ScalingFiles
+    files = KnownFiles
 
     def __init__(
-        self,
-        settings: GymnasiumSettings | None = None,
-        scaling: Scaling | None = None,
-        target: float | None = None,
+        self, settings: GymnasiumSettings | None = None, known: Known | None = None
     ) -> None:
-        """The environment of the settings.
+        """The environment of the settings; what is not `known` is found out in random episodes.
 
-        By default, the scaling of observations is measured in random episodes, and the return from
-        which an episode is solved is that of the settings. DomainError if Gymnasium is not
-        installed, has no such environment, or its spaces are not supported.
+        DomainError if Gymnasium is not installed, has no such environment, its spaces are not
+        supported, or it is not known from when an episode is solved.
         """
         super().__init__(settings)
-        name = self.settings.environment
-        self.episodes = _episodes(name)
+        self.episodes = _episodes(self.settings)
         self.vector: VectorSteps | None = None
+        s = self.settings
         with suppress(LookupError):  # it has no vectorised environment that suits lanes
-            self.vector = VectorSteps(name)
-        self.percept = _percept(self.episodes.observation, name)
-        self.control = _control(self.episodes.action, name)
-        self.target_return = self._target() if target is None else target
-        self.scaling = scaling or _explored(self.episodes)
+            self.vector = None if s.env or s.wrappers or s.success else VectorSteps(s.environment)
+        self.percept = self.episodes.percepts.fields
+        self.control = self.episodes.controls.fields
+        self.known = known or self._found()
+        self.target_return = self.known.target
 
     def draw(self, kind: str, count: int, generator: Generator) -> Starts:
         """See `Domain.draw`."""
@@ -130,74 +169,74 @@ class Gymnasium(Domain[Starts]):
 
     def world(self, scenarios: Starts) -> GymnasiumWorld:
         """See `Domain.world`."""
-        size, seeds = len(self.control), scenarios.seed
-        common = self.episodes, seeds, self.scaling, size, self.target_return
-        return VectorWorld(self.vector, *common) if self.vector else PlayedWorld(*common)
+        common = self.episodes, scenarios.seed, self.known.scaling
+        if self.known.success is not None:
+            return SuccessWorld(*common, told=self.known.success)
+        if self.vector is not None:
+            return VectorWorld(self.vector, *common, target=self.target_return)
+        return PlayedWorld(*common, target=self.target_return)
 
-    def _target(self) -> float:
-        given, own = self.settings.target_return, self.episodes.threshold
-        if given != float("inf"):
-            return given
-        if own is None:
+    def actions(self) -> ActionSet:
+        """See `Domain.actions`; there is a test where it may be success that ends an episode.
+
+        The world ends these episodes by itself, but learned models do not.
+        """
+        every, success = reward_actions(len(self.percept), len(self.control)), self.known.success
+        ends = success is not None and not success.at_last
+        return every.extended(["Test"], [Test()]) if ends else every
+
+    def _found(self) -> Known:
+        """What random episodes tell."""
+        s, seen = self.settings, self.episodes.explored(LOOKS, STEPS)
+        target, scaling = self._target(), scaling_of(seen.percepts)
+        known = [name for name in FAMILIAR if name in seen.infos]
+        name = s.success or (known[0] if known and target is None else "")
+        if not name and target is None:
             raise DomainError(
-                f"environment {self.settings.environment!r} names no return from which "
-                "it counts as solved; give one as target (--target)"
+                f"environment {s.environment!r} names no return from which it counts as solved; "
+                "give one as target (--target), or a name in its info as success (--success)"
             )
-        return own
+        if not name:
+            return Known(scaling, target=target or 0.0)
+        remark = "" if s.success else f"An episode is solved by {name} in the info of a step."
+        if name not in seen.infos:
+            others = f"only {', '.join(seen.infos)}" if seen.infos else "as infos were empty"
+            remark = f"No info of {LOOKS} random episodes has {name}, {others}."
+        mean, spread = float(seen.rewards.mean()), float(seen.rewards.std())
+        about = s.success_at == "last", mean, spread if spread > EVEN else 1.0
+        return Known(scaling, Success(name, *about), remark=remark)
+
+    def _target(self) -> float | None:
+        """The return from which an episode is solved: the one given, or the environment's own."""
+        given = self.settings.target_return
+        return self.episodes.threshold if given == math.inf else given
 
 
-def _episodes(environment: str) -> Episodes:
-    """The environment with this id; DomainError if Gymnasium cannot make it."""
+def _success(data: Any) -> Success:
+    """Success from its stored form; ValueError or TypeError if it is damaged."""
+    name, at_last = str(data["name"]), bool(data["at_last"])
+    found = Success(name, at_last, float(data["mean"]), float(data["spread"]))
+    if vars(found) != data or not found.spread > 0:
+        raise ValueError("success is not as it was stored")
+    return found
+
+
+def _episodes(settings: GymnasiumSettings) -> Episodes:
+    """Episodes of the environment; DomainError if Gymnasium is not installed."""
     try:
-        import gymnasium
+        return Episodes(settings)
     except ImportError as e:
         raise DomainError(
             "domain 'gymnasium' needs package gymnasium; pip install 'cgtorch[gymnasium]'"
         ) from e
-    try:
-        return Episodes(environment)
-    except (gymnasium.error.Error, ImportError, TypeError, ValueError) as e:
-        reason = " ".join(str(e).split())[:200]
-        raise DomainError(
-            f"Gymnasium cannot make environment {environment!r} ({reason}); is it spelt right and "
-            "its package installed?"
-        ) from e
 
 
-def _percept(space: Any, environment: str) -> tuple[Field, ...]:
-    """The fields of an observation."""
-    from gymnasium.spaces import Box
-
-    if not isinstance(space, Box) or len(space.shape) != 1:
-        raise DomainError(
-            f"environment {environment!r} has observations {space}; only vectors of numbers can be "
-            "percepts"
-        )
-    return tuple(Field(f"observation {i + 1}") for i in range(space.shape[0]))
-
-
-def _control(space: Any, environment: str) -> tuple[Field, ...]:
-    """The fields of an action, or one field for each discrete action."""
-    from gymnasium.spaces import Box, Discrete
-
-    if isinstance(space, Discrete):
-        count = int(space.n)
-        return tuple(Field(f"preference for action {i + 1}", low=-1, high=1) for i in range(count))
-    if isinstance(space, Box) and len(space.shape) == 1:
-        bounds = zip(space.low.tolist(), space.high.tolist(), strict=True)
-        return tuple(Field(f"action {i + 1}", low=a, high=b) for i, (a, b) in enumerate(bounds))
-    raise DomainError(
-        f"environment {environment!r} has actions {space}; only vectors of numbers and discrete "
-        "ones can be controls"
-    )
-
-
-def _explored(episodes: Episodes) -> Scaling:
-    """The scaling of observations, measured in random episodes; constant numbers are not scaled.
+def scaling_of(percepts: NDArray[Any]) -> Scaling:
+    """The scaling of numbers (N, D) of random episodes; constant numbers are not scaled.
 
     Bounds can be far too wide for scaling: divided by the bounds of a velocity, all values would be
     close to 0.
     """
-    seen = torch.from_numpy(episodes.random_observations(LOOKS, STEPS)).double()
+    seen = torch.from_numpy(percepts).double()
     spread = seen.std(0)
-    return Scaling(seen.mean(0), torch.where(spread > 1e-6, spread, 1.0))
+    return Scaling(seen.mean(0), torch.where(spread > EVEN, spread, 1.0))

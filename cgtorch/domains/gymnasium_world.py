@@ -1,26 +1,20 @@
-"""Gymnasium environments as a world of lanes.
-
-A Gymnasium environment keeps its state and can only continue from it, but lanes can continue from
-any earlier step. So each lane has its own environment, and its actions are recorded. A lane that
-continues from an earlier step replays its episode up to there.
-"""
+"""Gymnasium environments as a world of lanes, with returns or with success."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from cgtorch.domains.gymnasium_episodes import KEYS, MOST, Episodes
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import WorldError
 
-STEPS, RETURN, OVER, SLOT, BATCH, KEY = range(6)  # columns of a lane's state
-_PRIME = 1_000_003
-_KEYS = 2**48  # so that keys are whole numbers in float64
+STEPS, RETURN, OVER, SLOT, BATCH, KEY, SOLVED, BEST = range(8)  # columns of a lane's state
+MOST_UNSOLVED = 0.45  # of the success of what has not succeeded
 
 
 @dataclass(frozen=True)
@@ -31,140 +25,53 @@ class Scaling:
     scale: Tensor
 
 
-@dataclass
-class Episode:
-    """One episode in progress, which is over after at most `limit` steps.
+@dataclass(frozen=True)
+class Success:
+    """What an info says of success.
 
-    `keys` identify the sequence of actions that led to each step; the first is that of the start.
+    Attributes:
+        name: Its name in the info.
+        at_last: Whether only the last step of an episode counts, and not any of them.
+        mean: The mean reward of a step of random episodes.
+        spread: The standard deviation of these rewards.
     """
 
-    environment: Any
-    limit: float = float("inf")
-    seed: int = 0
-    actions: list[Any] = field(default_factory=list)
-    keys: list[int] = field(default_factory=list)
+    name: str
+    at_last: bool = False
+    mean: float = 0.0
+    spread: float = 1.0
 
-    def begin(self, seed: int) -> NDArray[np.float64]:
-        """Start with a seed; returns the first observation."""
-        self.seed, self.actions, self.keys = seed, [], [seed % _KEYS]
-        observation: NDArray[np.float64] = self.environment.reset(seed=seed)[0]
-        return observation
-
-    def play(self, action: Any) -> tuple[NDArray[np.float64], float, bool]:
-        """The observation and the reward after an action, and whether the episode is over."""
-        seen, reward, terminated, truncated, _ = self.environment.step(action)
-        self.actions.append(action)
-        own = crc32(action.tobytes())
-        self.keys.append((self.keys[-1] * _PRIME + own) % _KEYS)
-        return seen, float(reward), bool(terminated or truncated or len(self.actions) >= self.limit)
-
-    def return_to(self, step: int, key: int) -> None:
-        """Continue from an earlier step; WorldError if other actions led to it."""
-        if step >= len(self.keys) or self.keys[step] != key:
+    def seen(self, info: Any) -> bool:
+        """Whether an info tells of success; WorldError if that is no number."""
+        value = info.get(self.name, False)
+        try:
+            return float(value) > 0.5
+        except (TypeError, ValueError) as e:
             raise WorldError(
-                "a lane cannot continue from this step, because its Gymnasium environment has "
-                "moved on; run each lane from its start"
-            )
-        if step < len(self.actions):
-            before = self.actions[:step]
-            self.begin(self.seed)
-            for action in before:
-                self.play(action)
-
-
-class Episodes:
-    """One environment per lane, all with the same id, which each batch of lanes uses again.
-
-    `observation` and `action` are their spaces. `threshold` is the return from which the
-    environment counts as solved, if it has one. `batch` counts batches of lanes; only lanes of the
-    last batch can continue.
-    """
-
-    def __init__(self, environment: str) -> None:
-        """Make the first environment with that id; Gymnasium's errors are passed on."""
-        self._id = environment
-        self._played = [self._made()]
-        first = self._played[0].environment
-        self.observation, self.action = first.observation_space, first.action_space
-        own = first.spec.reward_threshold
-        self.threshold = None if own is None else float(own)
-        self.batch = 0
-        self._starts: dict[int, tuple[Any, NDArray[np.float64]]] = {}
-
-    def __reduce__(self) -> tuple[type["Episodes"], tuple[str]]:
-        """Environments are not pickled: another process makes its own."""
-        return Episodes, (self._id,)
-
-    def begin(self, seeds: list[int]) -> list[NDArray[np.float64]]:
-        """The first observations of a batch of episodes with these seeds."""
-        self.batch += 1
-        while len(self._played) < len(seeds):
-            self._played.append(self._made())
-        return [self._played[i].begin(seed) for i, seed in enumerate(seeds)]
-
-    def first(self, seed: int) -> tuple[Any, NDArray[np.float64]]:
-        """The environment's own state and observation at the start of an episode."""
-        known = self._starts.get(seed)
-        if known is None:
-            observation = self._played[0].begin(seed)
-            known = np.array(self._played[0].environment.unwrapped.state), observation
-            self._starts[seed] = known
-        return known
-
-    def at(self, slot: int, batch: int, step: int, key: int) -> Episode:
-        """An episode at a step; see `Episode.return_to`."""
-        if batch != self.batch:
-            raise WorldError(
-                "a lane cannot go on after other lanes have begun in the same Gymnasium "
-                "environment; run one batch after the other"
-            )
-        found = self._played[slot]
-        found.return_to(step, key)
-        return found
-
-    def random_observations(self, count: int, most: int) -> NDArray[np.float64]:
-        """(N, D) observations of `count` episodes with random actions, at most `most` in each."""
-        episode, seen = self._played[0], []
-        self.action.seed(0)
-        for seed in range(count):
-            seen.append(episode.begin(seed))
-            for _ in range(most):
-                action = np.asarray(self.action.sample())
-                observation, _, over = episode.play(action)
-                seen.append(observation)
-                if over:
-                    break
-        return np.stack(seen)
-
-    def _made(self) -> Episode:
-        """A new environment, without the wrappers that only limit steps and check their order."""
-        import gymnasium
-        from gymnasium.wrappers import OrderEnforcing, TimeLimit
-
-        made: Any = gymnasium.make(self._id, disable_env_checker=True)
-        limit = getattr(made.spec, "max_episode_steps", None) or float("inf")
-        while type(made) in (OrderEnforcing, TimeLimit):
-            made = made.env
-        return Episode(made, limit)
+                f"the info of a step has {self.name} {value!r:.60}; name something in it that is "
+                "a number, or true or false (--success)"
+            ) from e
 
 
 class GymnasiumWorld(ABC):
-    """A rewarded `Environment` of B starts; states begin with steps, return, and whether over."""
+    """An `Environment` of B starts; states begin with steps, return, and whether over."""
 
-    def __init__(
-        self, episodes: Episodes, seeds: Tensor, scaling: Scaling, control_size: int, target: float
-    ) -> None:
-        """The world of starts with seeds (B,); an episode is solved from the return `target`."""
+    def __init__(self, episodes: Episodes, seeds: Tensor, scaling: Scaling) -> None:
+        """The world of starts with seeds (B,)."""
         self._episodes, self._seeds, self._scaling = episodes, seeds, scaling
-        self.control_size, self._target = control_size, target
+        self.control_size = len(episodes.controls.fields)
 
     @abstractmethod
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
 
     @abstractmethod
-    def _play(self, state: Tensor, actions: NDArray[Any]) -> tuple[Tensor, NDArray[Any]]:
-        """The states (n, S) after actions (n, ...), and observations (n, D)."""
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        """See `Environment.success`."""
+
+    @abstractmethod
+    def _play(self, state: Tensor, control: NDArray[Any]) -> tuple[Tensor, NDArray[Any]]:
+        """The states (n, S) after controls (n, U), and percepts (n, D) that are not scaled."""
 
     @property
     def num_scenarios(self) -> int:
@@ -178,11 +85,11 @@ class GymnasiumWorld(ABC):
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """See `Environment.step`; a finished episode does not change any more."""
-        done = control.isfinite().all(1) & ~self.over(lanes)
+        done = control.isfinite().all(1) & (lanes.state[:, OVER] == 0)
         rows = done.nonzero()[:, 0]
         if not len(rows):
             return lanes, done
-        after, seen = self._play(lanes.state[rows], self._actions(control[rows]))
+        after, seen = self._play(lanes.state[rows], control[rows].numpy())
         state = lanes.state.index_copy(0, rows, after)
         percept = lanes.percept.index_copy(0, rows, self._percepts(seen))
         return replace(lanes, state=state, percept=percept), done
@@ -190,6 +97,20 @@ class GymnasiumWorld(ABC):
     def observe(self, lanes: Lanes) -> Lanes:
         """See `Environment.observe`."""
         return lanes
+
+    def _percepts(self, numbers: NDArray[Any]) -> Tensor:
+        """Percepts (n, D) from numbers (n, D)."""
+        seen = torch.from_numpy(numbers).double().view(-1, self.percept_size)
+        return ((seen - self._scaling.centre) / self._scaling.scale).float()
+
+
+class Returns(GymnasiumWorld):
+    """One with rewards (`Rewarded`), in which an episode is solved from a return on."""
+
+    def __init__(self, *common: Any, target: float) -> None:
+        """For the other arguments see `GymnasiumWorld`; `target` is that return."""
+        super().__init__(*common)
+        self._target = target
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
         """See `Environment.success`: whether a finished episode reached the target return."""
@@ -204,46 +125,86 @@ class GymnasiumWorld(ABC):
         """See `Rewarded.returns`."""
         return lanes.state[:, RETURN]
 
-    def _percepts(self, observations: NDArray[np.floating[Any]]) -> Tensor:
-        """Percepts (n, D) from observations (n, D)."""
-        seen = torch.from_numpy(observations).double().view(-1, self.percept_size)
-        return ((seen - self._scaling.centre) / self._scaling.scale).float()
 
-    def _actions(self, control: Tensor) -> NDArray[Any]:
-        """Actions (n, ...) in the form that Gymnasium expects."""
-        space = self._episodes.action
-        if not hasattr(space, "low"):
-            return control.argmax(1).numpy() + int(getattr(space, "start", 0))
-        within: NDArray[Any] = control.numpy().clip(space.low, space.high).astype(space.dtype)
-        return within
+class Played(GymnasiumWorld):
+    """One in which every lane has its own environment.
 
-
-class PlayedWorld(GymnasiumWorld):
-    """A world in which every lane has its own environment.
-
-    Further columns of a state are the environment's index, the batch in which the lane began, and
-    the key of its sequence of actions.
+    Further columns of a state are the episode's index, the batch in which the lane began, and the
+    key of its sequence of actions.
     """
+
+    most_lanes = MOST
+    columns = KEY + 1
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
         seeds = self._seeds[scenario].tolist()
-        observations = self._episodes.begin(seeds)
-        state = torch.zeros(len(seeds), 6, dtype=torch.float64)
+        seen = self._episodes.begin(seeds)
+        state = torch.zeros(len(seeds), self.columns, dtype=torch.float64)
         state[:, SLOT] = torch.arange(len(seeds))
         state[:, BATCH] = self._episodes.batch
-        state[:, KEY] = torch.tensor(seeds, dtype=torch.float64) % _KEYS
-        return state, self._percepts(np.array(observations))
+        state[:, KEY] = torch.tensor(seeds, dtype=torch.float64) % KEYS
+        return state, self._percepts(np.array(seen))
 
-    def _play(self, state: Tensor, actions: NDArray[Any]) -> tuple[Tensor, NDArray[Any]]:
-        observations, after = [], []
-        for old, action in zip(state.tolist(), actions, strict=True):
-            steps, gained, _, slot, batch, key = old
+    def _play(self, state: Tensor, control: NDArray[Any]) -> tuple[Tensor, NDArray[Any]]:
+        percepts, after = [], []
+        actions = self._episodes.controls.actions(control)
+        for old, own, action in zip(state.tolist(), control, actions, strict=True):
+            steps, gained, _, slot, batch, key, *more = old
             episode = self._episodes.at(int(slot), int(batch), int(steps), int(key))
-            seen, reward, over = episode.play(action)
-            observations.append(seen)
-            after.append([steps + 1, gained + reward, over, slot, batch, episode.keys[-1]])
-        return torch.tensor(after, dtype=torch.float64), np.array(observations)
+            seen, reward, over, info = episode.play(action, own.tobytes())
+            percepts.append(self._episodes.percepts.of(seen))
+            told = self._told(steps, more, reward, info)
+            common = steps + 1, gained + reward, over or self._ends(told), slot, batch
+            after.append([*common, episode.keys[-1], *told])
+        return torch.tensor(after, dtype=torch.float64), np.array(percepts)
+
+    def _told(self, steps: int, before: list[float], reward: float, info: Any) -> list[float]:
+        """The further columns after a step."""
+        return []
+
+    def _ends(self, told: list[float]) -> bool:
+        """Whether an episode is over with these further columns."""
+        return False
+
+
+class PlayedWorld(Returns, Played):
+    """A world of returns in which every lane has its own environment."""
+
+
+class SuccessWorld(Played):
+    """A world without returns (`Episodic`), in which the info of a step tells of success.
+
+    An episode is over with its first success, unless only its last step counts. Further columns are
+    whether a lane has succeeded, and its largest reward of a step.
+    """
+
+    columns = BEST + 1
+
+    def __init__(self, *common: Any, told: Success) -> None:
+        """For the other arguments see `GymnasiumWorld`; `told` is what an info says of success."""
+        super().__init__(*common)
+        self._about = told
+
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        """See `Environment.success`: 1 with success, else up to 0.45 by the largest reward so far.
+
+        Before the first step there was none, so that a skill gains nothing by doing nothing.
+        """
+        state = lanes.state
+        best = torch.sigmoid((state[:, BEST] - self._about.mean) / self._about.spread)
+        graded = torch.where(state[:, STEPS] > 0, MOST_UNSOLVED * best, 0.0)
+        return lanes, torch.where(state[:, SOLVED] > 0, 1.0, graded).to(lanes.percept)
+
+    def over(self, lanes: Lanes) -> Tensor:
+        """See `Episodic.over`."""
+        return lanes.state[:, OVER] > 0
+
+    def _told(self, steps: int, before: list[float], reward: float, info: Any) -> list[float]:
+        return [self._about.seen(info), max(before[1], reward) if steps else reward]
+
+    def _ends(self, told: list[float]) -> bool:
+        return told[0] > 0 and not self._about.at_last
 
 
 OWN = 3  # the column in which the environment's own state begins
@@ -256,6 +217,7 @@ class VectorSteps:
         """Make one with that id; LookupError if there is none, or its states cannot be set."""
         import gymnasium
 
+        environment = environment.rpartition(":")[2]  # whose module is imported by now
         if gymnasium.spec(environment).vector_entry_point is None:
             raise LookupError(f"{environment} has no vectorised environment of its own")
         self._id, self._made = environment, dict[int, Any]()
@@ -295,15 +257,15 @@ class VectorSteps:
         return self._made[count]
 
 
-class VectorWorld(GymnasiumWorld):
+class VectorWorld(Returns):
     """A world in which one environment steps all lanes; lane states contain its states."""
 
-    def __init__(self, vector: VectorSteps, *common: Any) -> None:
-        """The world of these steps; for the other arguments see `GymnasiumWorld`.
+    def __init__(self, vector: VectorSteps, *common: Any, target: float) -> None:
+        """The world of these steps; for the other arguments see `Returns`.
 
         Initial states come from its `Episodes`, as vectorised environments have one seed for all.
         """
-        super().__init__(*common)
+        super().__init__(*common, target=target)
         self._vector = vector
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
@@ -315,7 +277,8 @@ class VectorWorld(GymnasiumWorld):
             state[:, OWN:] = torch.from_numpy(own)
         return state, self._percepts(np.array([one[1] for one in first], dtype=np.float64))
 
-    def _play(self, state: Tensor, actions: NDArray[Any]) -> tuple[Tensor, NDArray[Any]]:
+    def _play(self, state: Tensor, control: NDArray[Any]) -> tuple[Tensor, NDArray[Any]]:
+        actions: Any = self._episodes.controls.actions(control)
         own, steps = state[:, OWN:].numpy(), state[:, STEPS].numpy()
         after, seen, reward, over = self._vector.step(own, steps, actions)
         here = state.clone()
@@ -323,4 +286,5 @@ class VectorWorld(GymnasiumWorld):
         here[:, STEPS] += 1
         here[:, RETURN] += torch.from_numpy(reward).double()
         here[:, OVER] = torch.from_numpy(over).double()
-        return here, seen
+        columns = self._episodes.percepts.columns
+        return here, seen if columns is None else seen[:, columns]

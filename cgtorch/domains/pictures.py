@@ -55,6 +55,10 @@ class Pictures(Generic[D]):
         """Names and values for a report, such as the robot."""
         return []
 
+    def remarks(self) -> list[str]:
+        """Sentences that a training says about the domain when it begins."""
+        return []
+
     def scenarios(
         self, scenarios: Any, succeeded: Tensor, targets: Tensor, title: str = ""
     ) -> "Figure | None":

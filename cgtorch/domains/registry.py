@@ -46,15 +46,16 @@ def known_names() -> list[str]:
 
 
 def is_code(spec: str) -> bool:
-    """Whether a name is "package.module:Class", which would import code."""
-    return ":" in spec and spec.partition(":")[0] not in EXAMPLES
+    """Whether a name has a "package.module:" that would be imported."""
+    name, _, argument = spec.partition(":")
+    return ":" in (argument if name in EXAMPLES else spec)
 
 
 def domain_class(spec: str) -> type["Domain[Any]"]:
     """The class of a domain; DomainError if there is no such domain.
 
-    `spec` is "tabletop", "gymnasium:ENV_ID", the name of an entry point of the group
-    "cgtorch.domains" of an installed package, or "package.module:Class".
+    `spec` is "tabletop", "gymnasium:ENV_ID" (see `with_name`), the name of an entry point of the
+    group "cgtorch.domains" of an installed package, or "package.module:Class".
     """
     from cgtorch.domains.domain import Domain
     from cgtorch.domains.live import domain_of_driver
@@ -68,7 +69,7 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
             "'package.module:Class'"
         )
     entry = EntryPoint("domain", place, ENTRY_POINTS) if ":" in place else declared[spec]
-    found = _foreign(entry.load, f"cannot import domain {spec!r}", NOT_FOUND)
+    found = foreign(entry.load, f"cannot import domain {spec!r}", NOT_FOUND)
     if isinstance(found, type) and issubclass(found, RobotDriver):
         return domain_of_driver(found)
     if not (isinstance(found, type) and issubclass(found, Domain)):
@@ -102,7 +103,7 @@ def spec_of(domain: Any) -> "tuple[str, Domain[Any] | None]":
     for name, place in _CLASSES.items():
         if place == spec:
             own = getattr(domain, "settings", None)
-            spec = f"{name}:{own.environment}" if name in EXAMPLES and own else name
+            spec = own.name if name in EXAMPLES and own else name
     module, _, name = spec.partition(":")
     script = getattr(sys.modules["__main__"], "__file__", None)
     if module == "__main__" and script and issubclass(kind, Domain):
@@ -126,12 +127,12 @@ def make_driver(spec: str) -> "RobotDriver":
     if ":" not in spec:
         raise DomainError(f"driver {spec!r:.60} is no name; give package.module:Class")
     entry = EntryPoint("driver", spec, ENTRY_POINTS)
-    found = _foreign(entry.load, f"cannot import driver {spec!r}", NOT_FOUND)
+    found = foreign(entry.load, f"cannot import driver {spec!r}", NOT_FOUND)
     if not (isinstance(found, type) and issubclass(found, RobotDriver)):
         raise DomainError(f"driver {spec!r} is {found!r:.80}; give a subclass of RobotDriver")
     if missing := sorted(getattr(found, "__abstractmethods__", ())):
         raise DomainError(f"driver {spec!r} lacks {' and '.join(missing)}; implement it")
-    made: RobotDriver = _foreign(
+    made: RobotDriver = foreign(
         found, f"driver {spec!r} cannot be made", "give it a constructor without arguments"
     )
     return made
@@ -170,19 +171,47 @@ def make_domain(spec: str, settings: DomainSettings | None = None) -> "Domain[An
         )
     failure = f"domain {spec!r} cannot be made as {kind.__name__}(settings)"
     advice = "give it a constructor that needs no other arguments"
-    return _foreign(lambda: kind(settings), failure, advice)
+    return foreign(lambda: kind(settings), failure, advice)
 
 
 def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
-    """The settings with the part of the domain's name after its colon, such as ENV_ID."""
+    """The settings with what follows the colon of the domain's name.
+
+    For Gymnasium this is ENV_ID or module:ENV_ID, and "+module:function" for each wrapper.
+    """
     name, _, argument = spec.partition(":")
     if name not in EXAMPLES:
         return settings
-    if not re.fullmatch(r"[\w./-]+", argument):
+    environment, *wrappers = argument.split("+")
+    usual = hasattr(settings, "wrappers")
+    pattern = r"([\w.]+:)?[\w./-]+" if usual else r"[\w.-]+"
+    if not re.fullmatch(pattern, environment) or (wrappers and not usual):
         raise DomainError(
             f"domain {spec!r} names no environment; give {name}:NAME, such as {EXAMPLES[name]}"
         )
-    return replace(settings, environment=argument)  # type: ignore[call-arg]
+    named: Any = replace(settings, environment=environment)  # type: ignore[call-arg]
+    if wrappers and named.wrappers not in ((), tuple(wrappers)):
+        raise DomainError(
+            f"domain {spec!r} names other wrappers than {', '.join(named.wrappers)}; give them once"
+        )
+    found: DomainSettings = replace(named, wrappers=tuple(wrappers)) if wrappers else named
+    return found
+
+
+def full_name(spec: str, settings: DomainSettings) -> str:
+    """The domain's name with all code that its settings import, which a run file must not hide.
+
+    The settings are those of `with_name`.
+    """
+    return str(getattr(settings, "name", spec)) if spec.partition(":")[0] in EXAMPLES else spec
+
+
+def check_name(spec: str, settings: DomainSettings) -> None:
+    """DomainError if the settings of a run are not of the domain that it names."""
+    if (full := full_name(spec, settings)) != spec:
+        raise DomainError(
+            f"a run about domain {spec!r} has settings of {full!r}; restore its run.json"
+        )
 
 
 def check_options(spec: str, names: Sequence[str]) -> None:
@@ -202,7 +231,7 @@ def check_options(spec: str, names: Sequence[str]) -> None:
             raise DomainError(f"domain {spec!r} has run_defaults for {name!r}; name {close}")
 
 
-def _foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:
+def foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:
     """The result of user code, or a DomainError for any exception."""
     try:
         return call()

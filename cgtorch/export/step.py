@@ -14,7 +14,8 @@ from cgtorch.graphs.action import own
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, SettingsError
 from cgtorch.simulation import most_steps
-from cgtorch.simulation.program import SUCCESS, TIMEOUT, compile_graphs
+from cgtorch.simulation.program import SUCCESS, TIMEOUT, Program, compile_graphs
+from cgtorch.simulation.torch_engine import Frames, advance, first_frames
 
 ENDS = ("success", "failure", "timeout")
 ASKS = {"control": ("success", "failure"), "perceive": ("success",), "test": ("success", "failure")}
@@ -159,7 +160,7 @@ class SkillStep(nn.Module):
         most = most_steps(skill.actions, skill.max_transitions)
         self.max_steps = most if max_steps is None else max_steps
         program = compile_graphs(skill.graph, skill.actions)
-        table = program.actions
+        self._actions = table = program.actions
         self.depth, self.num_primitives = table.depth, len(table.primitives)
         self.message_size, self.memory_size = table.message_size, table.memory_size
         self.place_size = STACK + 2 * self.depth
@@ -180,8 +181,7 @@ class SkillStep(nn.Module):
         values = program.parameters.detach().float()
         for key, value in (vars(program) | {"parameters": values}).items():
             if isinstance(value, Tensor):
-                # A skill without sub-skills gets one that is none, so that it can be indexed, too.
-                self.register_buffer(f"table_{key}", value if len(value) else value.new_zeros(1))
+                self.register_buffer(f"table_{key}", value)
         self.register_buffer("request", request[program.kind])
 
     def forward(
@@ -222,58 +222,29 @@ class SkillStep(nn.Module):
         control = torch.where(moves, mind[:, : self.control_size], 0.0)
         return request[0], control[0], place[0], mind[0]
 
+    @property
+    def _program(self) -> Program:
+        """The engine's program, whose tables are this module's buffers."""
+        return Program(
+            self._actions, self.table_kind, self.table_heads, self.table_parameters,
+            self.table_start, self.table_entry, self.table_limit,
+        )  # fmt: skip
+
     def _begun(self) -> Tensor:
         """The place at the start of the outermost skill."""
-        start = self.table_start
-        nothing = start.new_zeros(1, self.depth)
-        left = nothing.clone()
-        left[:, 0] = self.max_transitions
-        return self._entered(start, nothing[:, 0], nothing[:, 0], nothing, left)
+        frames = first_frames(self._program, 1, self.max_transitions)
+        return _place(torch.full_like(frames.node, RUNNING), torch.zeros_like(frames.node), frames)
 
     def _advance(self, place: Tensor, outcome: Tensor) -> Tensor:
-        """`torch_engine.advance` without shortcuts or changes in place; finished places stay."""
+        """The engine's `advance`; finished places stay."""
+        node, level, step = place[:, NODE], place[:, LEVEL], place[:, STEP] + 1
         caller, left = place[:, STACK:].split(self.depth, 1)
-        level, heads = place[:, LEVEL], self.table_heads
-        head = heads[place[:, NODE]].gather(1, outcome[:, None])[:, 0]
-        left = left - self._at(level)
-        head = self._in_time(head, level, left)
-        for _ in range(self.depth - 1):
-            leaves = (head < 0) & (level > 0)
-            node = (caller * self._at(level)).sum(1)
-            back = torch.where(head == SUCCESS, heads[node, 0], heads[node, 1])
-            head = torch.where(leaves, back, head)
-            level = level - leaves.long()
-            left = left - self._at(level) * leaves.long()[:, None]
-            head = self._in_time(head, level, left)
-        step = place[:, STEP] + 1
-        head = torch.where((head >= 0) & (step >= self.max_steps), TIMEOUT, head)
-        followed = self._entered(head, level, step, caller, left)
+        nothing = torch.zeros_like(node)
+        frames = Frames(node, level, caller.clone(), left.clone(), nothing - 1, nothing)
+        frames, end, _ = advance(self._program, frames, outcome, torch.ones_like(node).bool())
+        late = torch.where(step >= self.max_steps, TIMEOUT, RUNNING)
+        followed = _place(torch.where(end < 0, end, late), step, frames)
         return torch.where((place[:, STATUS] == RUNNING)[:, None], followed, place)
-
-    def _in_time(self, head: Tensor, level: Tensor, left: Tensor) -> Tensor:
-        """The heads (n,), or `TIMEOUT` if the level has no transitions left."""
-        remain = (left * self._at(level)).sum(1)
-        return torch.where((head >= 0) & (remain <= 0), TIMEOUT, head)
-
-    def _entered(
-        self, head: Tensor, level: Tensor, step: Tensor, caller: Tensor, left: Tensor
-    ) -> Tensor:
-        """The places at nodes (n,), in the innermost skill, or the ends if `head` is one."""
-        status = torch.where(head < 0, head, RUNNING)
-        node = head.clamp_min(0)
-        for _ in range(self.depth - 1):
-            skill = self.table_kind[node] - self.num_primitives
-            enters = (skill >= 0) & (status == RUNNING)
-            skill, level = skill.clamp_min(0), level + enters.long()
-            opened = self._at(level) * enters.long()[:, None]
-            caller = caller + opened * (node[:, None] - caller)
-            left = left + opened * (self.table_limit[skill][:, None] - left)
-            node = torch.where(enters, self.table_entry[skill], node)
-        return torch.cat([torch.stack([status, node, level, step], 1), caller, left], 1)
-
-    def _at(self, level: Tensor) -> Tensor:
-        """(n, depth) long, 1 in the column of each level."""
-        return (torch.arange(self.depth, device=level.device) == level[:, None]).long()
 
     def _thinks(self, place: Tensor, mind: Tensor) -> Tensor:
         """(n,) bool, whether a place is at a node that needs no robot."""
@@ -322,6 +293,12 @@ class SkillStep(nn.Module):
             "requests": [*ENDS, *self.asks.values()],
             "outcomes": {self.asks[each]: list(outcomes) for each, outcomes in ASKS.items()},
         }
+
+
+def _place(status: Tensor, step: Tensor, frames: Frames) -> Tensor:
+    """The places (n, place_size) of frames."""
+    first = torch.stack([status, frames.node, frames.level, step], 1)
+    return torch.cat([first, frames.caller, frames.left], 1)
 
 
 def _percept_size(skill: Skill) -> int:

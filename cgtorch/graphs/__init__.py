@@ -6,7 +6,6 @@ from cgtorch.graphs.files import load_skill as load_skill
 from cgtorch.graphs.files import save_skill as save_skill
 from cgtorch.graphs.files import skill_from_dict as skill_from_dict
 from cgtorch.graphs.files import skill_to_dict as skill_to_dict
-from cgtorch.graphs.flatten import flattened as flattened
 from cgtorch.graphs.graphs import NO_NODE as NO_NODE
 from cgtorch.graphs.graphs import Graphs as Graphs
 from cgtorch.graphs.graphs import check_graph as check_graph

@@ -146,7 +146,7 @@ def _read(
         if key in path:
             raise GraphError(f"sub-skill {_short(key)} contains itself; remove the cycle")
         if len(path) >= MAX_DEPTH:
-            raise GraphError(f"sub-skills are nested deeper than {MAX_DEPTH}; flatten them")
+            raise GraphError(f"sub-skills are nested deeper than {MAX_DEPTH}; use fewer levels")
         if key not in known:
             name = f"sub-skill {_short(key)}"
             inner = _read(entries[key], _SKILL, name, entries, actions, known, (*path, key))

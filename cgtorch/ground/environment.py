@@ -233,16 +233,34 @@ def asked_of(environment: Environment) -> Asked:
 
 
 @runtime_checkable
-class Rewarded(Protocol):
-    """An environment with rewards, in episodes that end.
+class Bounded(Protocol):
+    """An environment that cannot run many lanes at once, as each of them takes much memory."""
 
-    A lane ends with its episode, and has succeeded if `Environment.success` says so. One that ends
-    earlier gets no return, so that a skill gains nothing by doing nothing.
+    @property
+    def most_lanes(self) -> int:
+        """The number of lanes that a rollout runs at once."""
+        ...
+
+
+@runtime_checkable
+class Episodic(Protocol):
+    """An environment with episodes that end by themselves.
+
+    A lane ends with its episode, and has succeeded if `Environment.success` says so.
     """
 
     def over(self, lanes: Lanes) -> Tensor:
         """(n,) bool, whether the episodes of lanes are over, judged by their states alone."""
         ...
+
+
+@runtime_checkable
+class Rewarded(Episodic, Protocol):
+    """An environment with rewards, in episodes that end.
+
+    A lane that ends before its episode gets no return, so that a skill gains nothing by doing
+    nothing.
+    """
 
     def returns(self, lanes: Lanes) -> Tensor:
         """(n,) float, the sums of rewards so far."""

@@ -23,6 +23,7 @@ class ManipulationSettings(DomainSettings):
     }
 
     usual_stage: ClassVar[str] = LAST
+    domain: ClassVar[str] = "metaworld"
 
     environment: str = option(
         "push-v3",
@@ -44,6 +45,11 @@ class ManipulationSettings(DomainSettings):
         when="Hide it to see whether skills recognise a task by what they perceive.",
     )
 
+    @property
+    def name(self) -> str:
+        """The name of the domain."""
+        return f"{self.domain}:{self.environment}"
+
 
 @dataclass(frozen=True)
 class FetchSettings(ManipulationSettings):
@@ -53,6 +59,7 @@ class FetchSettings(ManipulationSettings):
         **ManipulationSettings.run_defaults,
         "max_transitions": 10,
     }
+    domain: ClassVar[str] = "gymnasium-robotics"
 
     environment: str = option(
         "FetchPush-v4",

@@ -91,7 +91,9 @@ def _settings(run: StoredRun, at_first: Mapping[str, str]) -> list[str]:
         value = str(values[f.name])
         default = str(usual.get(f.name, named.get(f.name)))
         if isinstance(f.default, tuple):
-            words += [f"{option_of(f.name)} {shlex.quote(name)}" for name in values[f.name]]
+            said = tuple(values[f.name]) == named.get(f.name)
+            each = () if said else values[f.name]
+            words += [f"{option_of(f.name)} {shlex.quote(name)}" for name in each]
         elif f.name == "seed" or at_first.get(f.name, value) != default:
             name = "target" if f.name == "target_return" else f.name
             words.append(f"{option_of(name)} {shlex.quote(at_first.get(f.name, value))}")

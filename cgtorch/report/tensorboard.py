@@ -7,11 +7,10 @@ unfinished stage wrote. Nothing here is read back: numbers are those of the log.
 
 import io
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-import torch
 from torch import Tensor
 
 from cgtorch.evolution.population import STRATEGY, Population
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 DPI = 80
 SOON = 0.5  # s after which a record is written
 BINS = 24
-STRATEGY_TAGS = [f"strategy/{name}" for name in STRATEGY]
 BY_ROWS = "by_rows"
 METRICS = ("fitness/best", "world/solved_W", "world/solved_M", "stage/targets")
 COLUMNS = {
@@ -151,10 +149,18 @@ class TensorBoardWatch:
         speed = generation.executed / max(event.seconds, 1e-9)
         self.scalars(values | {"speed/transitions_per_second": speed})
         if generation.number % SPREAD_EVERY == 0:
-            strategy = generation.population.strategy.cpu()
-            self.write(histograms(STRATEGY_TAGS, strategy, BINS))
+            self._strategy(generation.population.strategy)
         self._latest = event.candidate, generation.champion
         self.step += 1
+
+    def _strategy(self, values: Tensor) -> None:
+        """Write a histogram of each column of values (P, S) in one record."""
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from torch.utils.tensorboard.summary import histogram
+
+        columns = zip(STRATEGY, values.cpu().numpy().T, strict=True)
+        each = (histogram(f"strategy/{name}", column, BINS).value for name, column in columns)
+        self.write(Summary(value=[value for (value,) in each]))
 
     def _evolution_over(self) -> None:
         """Draw the best graph of the evolution that has just ended, unless it was just drawn."""
@@ -256,32 +262,3 @@ class TensorBoardWatch:
 
 def _number(row: Row, column: str) -> float:
     return float("nan") if row[column] is None else row[column]
-
-
-def histograms(tags: Sequence[str], values: Tensor, bins: int) -> "Summary":
-    """A histogram for each of S tags of finite values (P, S), with P at least 1, in one record.
-
-    Bins have equal widths from the least to the greatest value, or around a single value with a
-    total width of 1. TensorBoard's own histograms, one by one, take longer than a generation.
-    """
-    from tensorboard.compat.proto.summary_pb2 import HistogramProto, Summary
-
-    values = values.double()
-    least, greatest = values.amin(0), values.amax(0)
-    alike = 0.5 * (greatest == least)
-    low, width = least - alike, greatest - least + 2 * alike
-    place = ((values - low) / width * bins).long().clamp_max(bins - 1)
-    place += bins * torch.arange(len(tags))
-    counts = torch.bincount(place.flatten(), minlength=bins * len(tags)).view(-1, bins)
-    steps = torch.arange(bins + 1, dtype=torch.double)
-    limits = torch.addcmul(low[:, None], width[:, None], steps / bins)
-    about = torch.stack([least, greatest, values.sum(0), values.square().sum(0)], 1)
-    rows = zip(tags, about.tolist(), limits.tolist(), counts.tolist(), strict=True)
-    entries = []
-    for tag, (low_end, high_end, total, squares), limit, count in rows:
-        histogram = HistogramProto(
-            min=low_end, max=high_end, num=len(values), sum=total, sum_squares=squares,
-            bucket_limit=limit, bucket=[0, *count],  # none lies below the first limit
-        )  # fmt: skip
-        entries.append(Summary.Value(tag=tag, histo=histogram))
-    return Summary(value=entries)

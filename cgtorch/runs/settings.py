@@ -21,8 +21,8 @@ class RunSettings:
 
     domain: str = option(
         "tabletop",
-        "The domain of the run: tabletop, gymnasium:ENV_ID, the name of an installed domain, or "
-        "package.module:Class.",
+        "The domain of the run: tabletop, gymnasium:ENV_ID, gymnasium:module:ENV_ID, the name of "
+        "an installed domain, or package.module:Class.",
         "everything in the run belongs to it",
         when="Change it to train for another task.",
     )

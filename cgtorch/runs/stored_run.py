@@ -30,6 +30,7 @@ from cgtorch.domains.live import DriverDomain, Placements, on_robot
 from cgtorch.domains.models import Models
 from cgtorch.domains.pictures import Pictures
 from cgtorch.domains.registry import (
+    check_name,
     check_options,
     domain_class,
     is_code,
@@ -251,6 +252,7 @@ def read_run(
     if isinstance(domain, Domain):
         return _checked(folder, settings, domain, driver or "")
     own = from_plain(settings_class(settings.domain), about.get("domain_settings"))
+    check_name(settings.domain, own)
     made = domain_class(settings.domain)
     read = made.files.read(made, own, folder)
     return _checked(folder, settings, read, driver or "")

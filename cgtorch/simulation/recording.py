@@ -6,7 +6,14 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.asked import Asked, Purse
-from cgtorch.ground.environment import Environment, Lanes, Rewarded, seeds_of
+from cgtorch.ground.environment import (
+    Bounded,
+    Environment,
+    Episodic,
+    Lanes,
+    Rewarded,
+    seeds_of,
+)
 
 
 class Recording:
@@ -35,8 +42,12 @@ class Recording:
         self.seeds = seeds_of(environment, torch.arange(self.num_scenarios))
         self.first = torch.zeros(self.num_scenarios, self.percept_size)
         self.observe = environment.observe
-        if isinstance(environment, Rewarded):  # of which this is then one, too
-            self.over, self.returns = environment.over, environment.returns
+        if isinstance(environment, Bounded):
+            self.most_lanes = environment.most_lanes
+        if isinstance(environment, Episodic):  # of which this is then one, too
+            self.over = environment.over
+        if isinstance(environment, Rewarded):
+            self.returns = environment.returns
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""

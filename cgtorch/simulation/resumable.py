@@ -15,7 +15,7 @@ from torch import Tensor
 
 from cgtorch.graphs import Action, ActionSet, Graphs
 from cgtorch.graphs.action import own
-from cgtorch.ground.environment import Environment, Lanes, Rewarded, start_lanes
+from cgtorch.ground.environment import Environment, Episodic, Lanes, Rewarded, start_lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.native import WRONG_GRAPHS, constants, function, structure, threads
 from cgtorch.native.library import REALS
@@ -161,7 +161,7 @@ def resumable_rollout(
         environment: Where they run.
         scenarios: (B,) long.
         limits: The maximum number of transitions of each graph, of actions of a lane, and, with
-            rewards, of actions in a row that leave the state as it is.
+            episodes, of actions in a row that leave the state as it is.
         engine: The compiled engine of these actions and this environment, if there is one.
     """
     dtype, (p, b) = graphs.parameters.dtype, (len(graphs), len(scenarios))
@@ -175,19 +175,20 @@ def resumable_rollout(
     program = known and program_of(graphs, known, limits[:2])
     if known is None or program is None:
         return None
+    episodes = environment if isinstance(environment, Episodic) else None
     rewards = environment if isinstance(environment, Rewarded) else None
     first = start_lanes(environment, scenarios if in_models else scenarios.repeat(p), 0, 0)
     if first.percept.dtype != dtype or not (first.percept.is_cpu and first.state.is_cpu):
         return None
-    if rewards is not None and rewards.over(first).any():
+    if episodes is not None and episodes.over(first).any():
         return None
-    models, idle = engine and engine.environment, limits[2] if rewards else 0
+    models, idle = engine and engine.environment, limits[2] if episodes else 0
     rollouts = _laid_out(program, models, known, first, (p, b), (*limits[:2], idle))
     if function("begin_waiting", dtype)(rollouts.waiting, threads()) == WRONG_GRAPHS:
         check_numbers(graphs, len(actions))
     resume = function(f"{engine.models.name if engine else 'worlds'}_resumed", dtype)
     with torch.no_grad():
-        _run(rollouts, resume, known, environment, rewards)
+        _run(rollouts, resume, known, environment, episodes)
         return _ended(rollouts, (p, b), rewards)
 
 
@@ -196,7 +197,7 @@ def _run(
     resume: Any,
     known: CompiledActions,
     environment: Environment,
-    rewards: Rewarded | None,
+    episodes: Episodic | None,
 ) -> None:
     """Run all lanes to their ends."""
     table, waiting, count = known.table, rollouts.waiting, threads()
@@ -209,8 +210,8 @@ def _run(
         after, outcome, what = _done(action, given, parameters, environment, waiting)
         news = {} if after is given else _news(given, after)
         news[what] = (outcome.long() if what == "outcome" else outcome).contiguous()
-        if rewards is not None and after.state is not given.state:
-            news["over"] = _over(environment, rewards, after)
+        if episodes is not None and after.state is not given.state:
+            news["over"] = _over(environment, episodes, after)
         for name in sent - news.keys():
             setattr(waiting, name, None)
         for name, value in news.items():
@@ -274,9 +275,9 @@ def _like(value: Tensor, before: Tensor) -> Tensor:
     return value.new_empty(before.shape, dtype=before.dtype).copy_(value)
 
 
-def _over(environment: Environment, rewards: Rewarded, lanes: Lanes) -> Tensor:
+def _over(environment: Environment, episodes: Episodic, lanes: Lanes) -> Tensor:
     """(n,) uint8, 1 if an episode ended with success, 2 if it ended without, else 0."""
-    rows = rewards.over(lanes).nonzero()[:, 0]
+    rows = episodes.over(lanes).nonzero()[:, 0]
     over = torch.zeros(len(lanes), dtype=torch.uint8)
     if not len(rows):
         return over

@@ -1,10 +1,13 @@
 """Algorithm 3: run every graph on every scenario, compiled on the CPU or a GPU, or in torch."""
 
+from dataclasses import fields
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from cgtorch.graphs import ActionSet, Graphs
-from cgtorch.ground.environment import Environment
+from cgtorch.ground.environment import Bounded, Environment
 from cgtorch.native.gpu import Gpu, launcher_of
 from cgtorch.simulation.compiled import (
     LARGEST,
@@ -61,6 +64,10 @@ def rollout(
         scenarios = torch.arange(environment.num_scenarios, device=graphs.start.device)
     max_steps = most_steps(actions, max_transitions) if max_steps is None else max_steps
     limits = max_transitions, max_steps
+    if trace is None and isinstance(environment, Bounded):
+        most = environment.most_lanes
+        if len(graphs) * len(scenarios) > most and len(scenarios):
+            return _in_parts(graphs, actions, environment, scenarios, limits, most)
     if trace is None:
         engine = engine_of(actions, environment)
         found = engine and engine.rollouts(graphs, scenarios, *limits)
@@ -70,6 +77,34 @@ def rollout(
             return found
     program = compile_graphs(graphs, actions)
     return rollout_in_torch(program, environment, scenarios, *limits, trace)
+
+
+def _in_parts(
+    graphs: Graphs,
+    actions: ActionSet,
+    environment: Environment,
+    scenarios: Tensor,
+    limits: tuple[int, int],
+    most: int,
+) -> Rollouts:
+    """`rollout` of at most so many lanes at once."""
+    b, rows = min(most, len(scenarios)), list[Rollouts]()
+    how: dict[str, Any] = {"max_transitions": limits[0], "max_steps": limits[1]}
+    for some in torch.arange(len(graphs)).split(max(1, most // b)):
+        about = graphs[some], actions, environment
+        parts = [rollout(*about, scenarios=part, **how) for part in scenarios.split(b)]
+        rows.append(_joined(parts, 1))
+    return _joined(rows, 0)
+
+
+def _joined(parts: list[Rollouts], dim: int) -> Rollouts:
+    """Rollouts of more graphs (`dim` 0) or scenarios (1)."""
+    columns: dict[str, list[Any]] = {
+        f.name: [getattr(part, f.name) for part in parts] for f in fields(Rollouts)
+    }
+    executed = sum(columns.pop("executed"))
+    joined: Any = {n: None if v[0] is None else torch.cat(v, dim) for n, v in columns.items()}
+    return Rollouts(**joined, executed=executed)
 
 
 def most_steps(actions: ActionSet, max_transitions: int) -> int:

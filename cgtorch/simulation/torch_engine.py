@@ -8,13 +8,20 @@ from typing import TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.ground.environment import Environment, Lanes, Rewarded, rows_where, start_lanes
+from cgtorch.ground.environment import (
+    Environment,
+    Episodic,
+    Lanes,
+    Rewarded,
+    rows_where,
+    start_lanes,
+)
 from cgtorch.simulation.program import FAILURE, SUCCESS, TIMEOUT, Program
 
 LARGEST_BATCH = 2**40  # lanes
 MOST_IDLE = 64
-"""The number of actions in a row that may leave the state of an environment with rewards as it is,
-as episodes can be thousands of actions long."""
+"""The number of actions in a row that may leave the state of an environment with episodes as it is,
+as these can be thousands of actions long."""
 
 Trace: TypeAlias = Callable[[Tensor, Tensor, Tensor, Lanes], None]
 
@@ -158,6 +165,7 @@ def rollout_in_torch(
     lanes = start_lanes(environment, scenarios.repeat(p), *sizes)
     frames = first_frames(program, b, max_transitions)
     status, transitions = torch.zeros_like(frames.node), lanes.step.clone()
+    episodes = environment if isinstance(environment, Episodic) else None
     rewards = environment if isinstance(environment, Rewarded) else None
     returns = None if rewards is None else lanes.percept.new_full((p * b,), -torch.inf)
     percept, state = lanes.percept.clone(), lanes.state.clone()
@@ -171,7 +179,7 @@ def rollout_in_torch(
         active, lanes, frames = active[order], lanes.rows(order), frames.rows(order)
         executed += len(active)
         node = frames.node
-        before = None if rewards is None else lanes.state.clone()
+        before = None if episodes is None else lanes.state.clone()
         outcome, changed = _act(program, lanes, node, groups, environment)
         if trace:
             trace(active, node, outcome, lanes)
@@ -180,10 +188,10 @@ def rollout_in_torch(
         lanes = replace(lanes, step=lanes.step + 1 + skipped)
         out_of_steps = lanes.step >= max_steps
         end = torch.where(out_of_steps & (skipped > 0), TIMEOUT, end)
-        if rewards is not None and before is not None:
+        if episodes is not None and before is not None:
             idle = torch.where((lanes.state != before).any(1), 0, idle[order] + 1)
             end = torch.where((end == 0) & (idle > MOST_IDLE), TIMEOUT, end)
-            end = _at_the_end(environment, rewards, lanes, end)
+            end = _at_the_end(environment, episodes, lanes, end)
         over = (end != 0) | out_of_steps
         gone = rows_where(over)  # of others that are among them more will be known later
         who, last = active.index_select(0, gone), lanes.rows(gone)
@@ -206,15 +214,15 @@ def rollout_in_torch(
     )
 
 
-def _at_the_end(environment: Environment, rewards: Rewarded, lanes: Lanes, end: Tensor) -> Tensor:
+def _at_the_end(environment: Environment, episodes: Episodic, lanes: Lanes, end: Tensor) -> Tensor:
     """How lanes end (n,) if their episodes are over, else the ends given."""
-    rows = rows_where(rewards.over(lanes))
+    rows = rows_where(episodes.over(lanes))
     if not len(rows):
         return end
     here = lanes.rows(rows)
     succeeded = environment.success(here)[1] > 0.5
     ends = torch.where(succeeded, SUCCESS, FAILURE)
-    return end.index_copy(0, rows, torch.where(rewards.over(here), ends, end[rows]))
+    return end.index_copy(0, rows, torch.where(episodes.over(here), ends, end[rows]))
 
 
 def _grouped(

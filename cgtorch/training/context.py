@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import torch
 
-from cgtorch.domains.domain import counting, noisy, rewarded
+from cgtorch.domains.domain import counting, episodic, noisy, rewarded
 from cgtorch.domains.knowledge import summary_of
 from cgtorch.domains.live import OnRobot
 from cgtorch.evolution import (
@@ -163,8 +163,9 @@ class Training:
 def evolution_settings(run: StoredRun) -> EvolutionSettings:
     """The settings of evolutions: as published for the paper's method, else the defaults."""
     s, returns = run.settings, rewarded(run.domain)
+    graded = returns or (episodic(run.domain) and not run.learns)
     # Of continuous scores lexicase selection would leave one to three distinct parents.
-    by_rank = s.method == "paper" or returns
+    by_rank = s.method == "paper" or graded
     common = EvolutionSettings(
         population=s.population,
         selection=tournament(s.tournament) if by_rank else lexicase,
@@ -175,7 +176,7 @@ def evolution_settings(run: StoredRun) -> EvolutionSettings:
     if counting(run.domain):
         new = s.population // NEW
         return replace(common, evaluate=race, newcomers=new, initial_nodes=SMALL)
-    if not returns or s.method == "paper" or s.islands > 1:
+    if not graded or s.method == "paper" or s.islands > 1:
         return common
     return replace(
         common,

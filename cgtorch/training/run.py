@@ -5,7 +5,16 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from cgtorch.domains.registry import driver_of, make_domain, settings_class, spec_of, spec_of_class
+from cgtorch.domains.domain import rewarded
+from cgtorch.domains.registry import (
+    driver_of,
+    full_name,
+    make_domain,
+    settings_class,
+    spec_of,
+    spec_of_class,
+    with_name,
+)
 from cgtorch.domains.settings import known_options
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.ground import distributed as ranks
@@ -137,8 +146,10 @@ def train(
     """
     spec, made = spec_of(domain)
     kind = settings_class(spec) if made is None else type(made.settings)
-    rewarded = "target_return" in {f.name for f in fields(kind)}
-    aim = {"target_return" if rewarded else "target": target}
+    returns = "target_return" in {f.name for f in fields(kind)} and (
+        not settings.get("success") if made is None else rewarded(made)
+    )
+    aim = {"target_return" if returns else "target": target}
     request, rest = TrainingRequest.taken_from({"stage": stage, **aim, **settings})
     own = {f.name: rest.pop(f.name) for f in fields(kind) if f.name in rest}
     if made is not None and own:
@@ -146,11 +157,12 @@ def train(
         raise SettingsError(
             f"{name} is a setting of the domain, which is made already; set it there"
         )
+    domain_settings = with_name(spec, kind(**own)) if made is None else made.settings
+    spec = full_name(spec, domain_settings)
     rest |= {"actions": tuple(spec_of_class(each) for each in actions), "domain": spec}
     rest.setdefault("driver", driver_of(spec) if made is None else "")
     run_settings = RunSettings(**{**defaults_of(kind), **known_options(RunSettings, rest, kind)})
     place = Path("runs") / f"seed-{run_settings.seed}" if folder is None else Path(folder)
-    domain_settings = kind(**own) if made is None else made.settings
     with ranks.together():
         run = begun(place, run_settings, domain_settings, request, made)
         with ProgressDisplay(quiet=quiet or not ranks.first()) as display:

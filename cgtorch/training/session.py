@@ -180,7 +180,11 @@ def carry_out(
         if native.to_be_compiled():
             with display.working("compiling the engine for this CPU (once)"):
                 native.available()
-        for line in (*_earlier_stages(work), *_changes(work.taken)):
+        for line in (
+            *run.domain.pictures(run.domain).remarks(),
+            *_earlier_stages(work),
+            *_changes(work.taken),
+        ):
             display.say(line)
         settled = run.all_settings() | (vars(work.goal) if auto else {})
         with listening(display.counted), _board(run, settled) as board:

@@ -3,7 +3,6 @@
 import pickle
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,12 @@ import torch
 from support import seeded
 
 from cgtorch.domains.check import check_domain
-from cgtorch.domains.gymnasium import Gymnasium, _explored
+from cgtorch.domains.gymnasium import Gymnasium, scaling_of
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_world import PlayedWorld, VectorSteps
+from cgtorch.domains.gymnasium_world import Played, PlayedWorld, VectorSteps
 from cgtorch.domains.registry import make_domain
 from cgtorch.evolution.population import random_population
-from cgtorch.ground.environment import Lanes, start_lanes
+from cgtorch.ground.environment import Bounded, Lanes, start_lanes
 from cgtorch.ground.errors import DomainError, WorldError
 from cgtorch.simulation import rollout
 
@@ -66,8 +65,10 @@ def test_lanes_do_what_gymnasium_plays(name: str) -> None:
                 action = int(control.argmax())
             observation, reward, terminated, truncated, _ = plain.step(action)
             gained, over = gained + float(reward), terminated or truncated
-        seen = torch.from_numpy(np.asarray(observation)).double() - domain.scaling.centre
-        assert torch.allclose(lanes.percept[row].double(), seen / domain.scaling.scale, atol=1e-5)
+        seen = torch.from_numpy(np.asarray(observation)).double() - domain.known.scaling.centre
+        assert torch.allclose(
+            lanes.percept[row].double(), seen / domain.known.scaling.scale, atol=1e-5
+        )
         assert float(world.returns(lanes)[row]) == pytest.approx(gained, abs=1e-4)
         assert bool(world.over(lanes)[row]) == over
 
@@ -77,7 +78,7 @@ def test_the_vectorised_environment_is_used_and_is_the_same() -> None:
     assert domain.vector is not None
     starts = domain.draw("starts", 5, seeded(2))
     world: Any = domain.world(starts)
-    played = PlayedWorld(domain.episodes, starts.seed, domain.scaling, len(domain.control), -50.0)
+    played = PlayedWorld(domain.episodes, starts.seed, domain.known.scaling, target=-50.0)
     one, other = started(world, 5), started(played, 5)
     for control in controls_of(domain, 30, 5):
         (one, _), (other, _) = world.step(one, control), played.step(other, control)
@@ -125,6 +126,21 @@ def test_rollouts_are_repeatable_and_carry_returns() -> None:
     assert not one.succeeded[~finished].any()
 
 
+def test_many_lanes_run_in_parts_with_the_same_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    domain = domain_of("Acrobot-v1")
+    graphs = random_population(6, domain.actions(), 8, (2, 6), seeded(0)).graphs
+    world = domain.world(domain.draw("starts", 5, seeded(1)))
+    assert isinstance(world, Bounded)
+    limit = {"max_transitions": 2000}
+    whole = rollout(graphs, domain.actions(), world, **limit)
+    for most in (12, 3):  # two graphs at once, and a part of the scenarios of one
+        monkeypatch.setattr(Played, "most_lanes", most)
+        found = rollout(graphs, domain.actions(), world, **limit)
+        assert found.executed == whole.executed
+        for name in ("succeeded", "timed_out", "percept", "transitions", "returns"):
+            assert torch.equal(getattr(found, name), getattr(whole, name)), name
+
+
 def test_the_target_is_the_environments_own_or_given() -> None:
     assert make_domain("gymnasium:CartPole-v1").target_return == 475.0
     with pytest.raises(
@@ -140,7 +156,6 @@ def test_the_target_is_the_environments_own_or_given() -> None:
         ("gymnasium", "names no environment"),
         ("gymnasium:os;system", "names no environment"),
         ("gymnasium:Nothing-v7", "cannot make environment 'Nothing-v7'"),
-        ("gymnasium:FrozenLake-v1", "only vectors of numbers can be percepts"),
     ],
 )
 def test_what_is_no_domain_is_told(name: str, reason: str) -> None:
@@ -150,8 +165,9 @@ def test_what_is_no_domain_is_told(name: str, reason: str) -> None:
 
 def test_percepts_have_the_spread_of_random_episodes() -> None:
     domain = domain_of("Acrobot-v1")  # whose velocities have bounds far from where it begins
-    assert domain.scaling.scale[4] < domain.episodes.observation.high[4] / 4
-    seen = domain.episodes.random_observations(20, 200)
+    highest = gymnasium.make("Acrobot-v1").observation_space.high[4]
+    assert domain.known.scaling.scale[4] < highest / 4
+    seen = domain.episodes.explored(20, 200).percepts
     world = domain.world(domain.draw("starts", 1, seeded(0)))
     percepts = world._percepts(seen)
     assert torch.allclose(percepts.mean(0), torch.zeros(6), atol=1e-4)
@@ -160,8 +176,7 @@ def test_percepts_have_the_spread_of_random_episodes() -> None:
 
 def test_a_number_that_random_episodes_do_not_change_is_not_scaled() -> None:
     seen = np.stack([np.linspace(-1, 1, 9), np.full(9, 7.0)], 1)
-    episodes: Any = SimpleNamespace(random_observations=lambda *_: seen)
-    scaling = _explored(episodes)
+    scaling = scaling_of(seen)
     assert scaling.centre.tolist() == pytest.approx([0, 7])
     assert scaling.scale.tolist() == pytest.approx([seen[:, 0].std(ddof=1), 1])
 
@@ -172,7 +187,7 @@ def test_it_is_kept_with_a_run(tmp_path: Path) -> None:
     domain.files(domain).write(tmp_path)
     again = Gymnasium.files.read(Gymnasium, domain.settings, tmp_path)
     assert again.target_return == -100.0
-    assert torch.equal(again.scaling.scale, domain.scaling.scale)
+    assert torch.equal(again.known.scaling.scale, domain.known.scaling.scale)
     (tmp_path / "gymnasium.json").write_text('{"centre": [1], "scale": [0], "target_return": 1}')
     with pytest.raises(DomainError, match="damaged"):
         Gymnasium.files.read(Gymnasium, domain.settings, tmp_path)

@@ -245,7 +245,7 @@ DEEP = {
         (setting("skills", "Grasp", LOOP), "sub-skill 'Grasp' has the name of an action"),
         (setting("skills", {"S1": LOOP}), "sub-skill 'S1' contains itself; remove the cycle"),
         (setting("skills", TWO_LOOPS), "sub-skill 'S1' contains itself; remove the cycle"),
-        (setting("skills", DEEP), "nested deeper than 32; flatten them"),
+        (setting("skills", DEEP), "nested deeper than 32; use fewer levels"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_named(

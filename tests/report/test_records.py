@@ -4,15 +4,10 @@ import time
 from pathlib import Path
 
 import pytest
-import torch
-from support import seeded
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from torch.utils.tensorboard.summary import make_histogram
 
 from cgtorch.report import tensorboard
-from cgtorch.report.tensorboard import TensorBoardWatch, histograms
-
-TAGS = [f"column {i}" for i in range(5)]
+from cgtorch.report.tensorboard import TensorBoardWatch
 
 
 def scalars(folder: Path, tag: str) -> list[tuple[int, float]]:
@@ -54,23 +49,3 @@ def test_what_earlier_files_hold_is_not_written_again(tmp_path: Path) -> None:
         written.scalars({"a": float(step)})
     written.close()
     assert scalars(tmp_path, "a") == [(2, 2.0), (3, 3.0)]
-
-
-@pytest.mark.parametrize("rows", [1, 2, 1000])
-@pytest.mark.parametrize("bins", [1, 7, 24])
-def test_columns_are_counted_as_the_writer_does(rows: int, bins: int) -> None:
-    values = torch.randn(rows, 5, generator=seeded(rows)) * torch.tensor([1, 1e-3, 50, 1, 0.1])
-    values[:, 3] = 0.25  # all the same
-    found = histograms(TAGS, values, bins).value
-    assert [entry.tag for entry in found] == TAGS
-    for entry, column in zip(found, values.double().T, strict=True):
-        wanted, seen = make_histogram(column.numpy(), bins), entry.histo
-        for name in ("min", "max", "num", "sum", "sum_squares"):
-            assert getattr(seen, name) == pytest.approx(getattr(wanted, name)), name
-        assert len(seen.bucket) == len(seen.bucket_limit) == bins + 1
-        assert list(seen.bucket_limit) == sorted(seen.bucket_limit)
-        for limit, count in zip(wanted.bucket_limit, wanted.bucket, strict=True):
-            place = min(range(bins + 1), key=lambda i: abs(seen.bucket_limit[i] - limit))
-            assert seen.bucket_limit[place] == pytest.approx(limit, abs=1e-12)
-            assert seen.bucket[place] == count
-        assert sum(seen.bucket) == rows

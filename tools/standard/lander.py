@@ -9,7 +9,9 @@ from functools import cache
 
 import torch
 
-from cgtorch.domains.gymnasium_world import Episodes, PlayedWorld, Scaling
+from cgtorch.domains.gymnasium_episodes import Episodes
+from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.domains.gymnasium_world import PlayedWorld, Scaling
 from standard.task import Starts, Task
 
 NAME = "LunarLander-v3"
@@ -25,14 +27,14 @@ say 0 or 1.
 @cache
 def landers() -> Episodes:
     """Environments that are used again for each batch of lanes."""
-    return Episodes(NAME)
+    return Episodes(GymnasiumSettings(NAME))
 
 
 def world(scenarios: Starts) -> PlayedWorld:
     """The world of starts, whose seeds are given to `reset`."""
     scale = torch.tensor(SCALE, dtype=torch.float64)
     scaling = Scaling(torch.zeros_like(scale), scale)
-    return PlayedWorld(landers(), scenarios.seed, scaling, ACTIONS, SOLVED)
+    return PlayedWorld(landers(), scenarios.seed, scaling, target=SOLVED)
 
 
 def lunar_lander() -> Task:

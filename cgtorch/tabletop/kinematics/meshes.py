@@ -15,7 +15,7 @@ from lxml import etree
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
-from cgtorch.tabletop.kinematics.urdf import MOST
+from cgtorch.tabletop.kinematics.urdf import MOST, parsed
 
 KINDS = (".stl", ".dae", ".obj")
 MAX_BYTES = 32 * 2**20
@@ -85,20 +85,9 @@ def _check_corners(data: bytes, where: str) -> None:
 
 def _checked_collada(data: bytes, where: str) -> tuple[bytes, float]:
     """A DAE without anything that could name other files, and its unit, m."""
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True,
-        remove_comments=True, remove_pis=True,
-    )  # fmt: skip
     if data.count(b"<") > 2 * MAX_TAGS:
         raise RobotError(f"{where} has more than {MAX_TAGS} elements: give fewer")
-    try:
-        root = etree.fromstring(data, parser)
-    except (etree.XMLSyntaxError, ValueError) as error:
-        reason = " ".join(str(error).split())[:100]
-        raise RobotError(f"{where} is not well-formed XML ({reason}): export it again") from None
-    info = root.getroottree().docinfo
-    if info.doctype or info.internalDTD is not None:
-        raise RobotError(f"{where} has a document type, which can name entities: remove it")
+    root = parsed(data, where, huge=True)
     _check_instances(root, where)
     element = root.find("{*}asset/{*}unit")
     text = "1" if element is None else element.get("meter", "1")

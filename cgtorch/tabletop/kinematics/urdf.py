@@ -113,7 +113,9 @@ def load_urdf(path: Path | str) -> Urdf:
 def read_urdf(path: Path) -> Any:
     """The elements of a valid URDF, whose inertias are not checked."""
     where = f"URDF {str(path)!r}"
-    root = _parse(read_bytes(path, MAX_BYTES, RobotError), where)
+    root = parsed(read_bytes(path, MAX_BYTES, RobotError), where)
+    if root.tag != "robot":
+        raise RobotError(f"{where} starts with <{root.tag}>: give a file that starts with <robot>")
     _check_numbers(root, where)
     _check_tree(root, where)
     for joint in root.findall("joint"):
@@ -153,24 +155,35 @@ def _line(error: object) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def _parse(data: bytes, where: str) -> Any:
+def parsed(data: bytes, where: str, huge: bool = False) -> Any:
+    """The root element of XML, without comments; nothing that it names is read.
+
+    RobotError if it is not well-formed or has a document type, which can name entities and files.
+    `huge` is whether it may be deep and have long texts.
+    """
     parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
+        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=huge,
         remove_comments=True, remove_pis=True, remove_blank_text=True,
     )  # fmt: skip
     try:
         root = etree.fromstring(data, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise RobotError(f"{where} is not well-formed XML ({_line(error)}): correct it") from None
+        reason = _line(error)[:100]
+        raise RobotError(f"{where} is not well-formed XML ({reason}): correct it") from None
     info = root.getroottree().docinfo
     if info.doctype or info.internalDTD is not None:
         raise RobotError(
-            f"{where} has a document type ({info.doctype!r}), which can name entities and files: "
-            "remove the <!DOCTYPE ...> declaration"
+            f"{where} has a document type ({info.doctype!r:.100}), which can name entities and "
+            "files: remove the <!DOCTYPE ...> declaration"
         )
-    if root.tag != "robot":
-        raise RobotError(f"{where} starts with <{root.tag}>: give a file that starts with <robot>")
     return root
+
+
+def at_rest(joint: Any) -> float:
+    """The position of a moving joint that is nearest to 0 within its limits, rad or m."""
+    if joint.type == "continuous" or joint.limit is None:
+        return 0.0
+    return float(min(max(0.0, joint.limit.lower), joint.limit.upper))
 
 
 def _check_numbers(root: Any, where: str) -> None:

@@ -12,7 +12,7 @@ from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription
-from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf
+from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, at_rest, checked_urdf
 from cgtorch.tabletop.robot_folder.structure import (
     LEAST_JOINTS,
     Array,
@@ -170,13 +170,11 @@ def _add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False
 
 def _at_rest(structure: Structure, others: set[str]) -> dict[str, float]:
     """The positions of all independent joints except some: 0, or as near as limits allow."""
-    found = {}
-    for joint in structure.urdf.model.robot.joints:
-        if joint.type in MOVING and joint.mimic is None and joint.name not in others:
-            bounded = joint.type != "continuous"
-            low, high = (joint.limit.lower, joint.limit.upper) if bounded else (0.0, 0.0)
-            found[joint.name] = float(min(max(0.0, low), high))
-    return found
+    return {
+        joint.name: at_rest(joint)
+        for joint in structure.urdf.model.robot.joints
+        if joint.type in MOVING and joint.mimic is None and joint.name not in others
+    }
 
 
 def _hand_of(structure: Structure, arm: Arm) -> str:

@@ -23,6 +23,7 @@ from cgtorch.report.html import STYLE, inline_svg, templates
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, TABLE_THICKNESS
+from cgtorch.tabletop.kinematics.urdf import at_rest
 from cgtorch.tabletop.physics import Thing
 from cgtorch.tabletop.viewer.execution import Step
 from cgtorch.tabletop.viewer.timeline import Timeline
@@ -68,7 +69,8 @@ class Scene:
             server, model, root_node_name=below,
             load_meshes=visual, load_collision_meshes=not visual,
         )  # fmt: skip
-        self.rest = _rest(model, robot)
+        held = robot.description.held
+        self.rest = np.array([held.get(j.name, at_rest(j)) for j in model.actuated_joints])
         self.actuated = model.actuated_joint_names
         self.columns: list[int] = []
         self.object = server.scene.add_cylinder(
@@ -195,17 +197,6 @@ def _segments(points: Tensor) -> Tensor:
     """(n, 2, 2) the pieces of a polyline (F, 2) that have a length."""
     pieces = torch.stack([points[:-1], points[1:]], 1)
     return pieces[(pieces[:, 0] != pieces[:, 1]).any(1)]
-
-
-def _rest(model: Any, robot: Robot) -> Array:
-    """Positions of all joints: those of the description, else the ones nearest to 0."""
-    held, positions = robot.description.held, []
-    for joint in model.actuated_joints:
-        limit = joint.limit
-        bounded = joint.type != "continuous" and limit is not None
-        nearest = min(max(0.0, limit.lower), limit.upper) if bounded else 0.0
-        positions.append(held.get(joint.name, nearest))
-    return np.array(positions)
 
 
 def levels_html(skill: Skill, step: Step) -> str:

@@ -1,0 +1,204 @@
+"""Episodes of Gymnasium environments, which can continue from any of their earlier steps.
+
+A Gymnasium environment keeps its state and can only continue from it, but lanes can continue from
+any earlier step. So each episode has its own environment, and its actions are recorded. One that
+continues from an earlier step is played again up to there, and so is one whose environment was
+given to another episode.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of
+from cgtorch.domains.registry import NOT_FOUND, foreign
+from cgtorch.ground.errors import DomainError, WorldError
+
+MOST = 64
+"""Number of environments at once; see docs/decisions/interface.md."""
+PRIME = 1_000_003
+KEYS = 2**48  # so that keys are whole numbers in float64
+
+
+@dataclass
+class Episode:
+    """One episode in progress, which is over after at most `limit` steps.
+
+    `keys` identify the sequence of actions that led to each step; the first is that of the start.
+    """
+
+    environment: Any
+    seed: int
+    limit: float = float("inf")
+    actions: list[Any] = field(default_factory=list)
+    keys: list[int] = field(default_factory=list)
+
+    def begin(self) -> Any:
+        """Start again; returns the first observation."""
+        self.actions, self.keys = [], [self.seed % KEYS]
+        return self.environment.reset(seed=self.seed)[0]
+
+    def play(self, action: Any, control: bytes = b"") -> tuple[Any, float, bool, Any]:
+        """The observation and reward after an action, whether the episode is over, and the info.
+
+        The action was made from `control`, by which it is known again.
+        """
+        seen, reward, terminated, truncated, info = self.environment.step(action)
+        self.actions.append((action, control))
+        self.keys.append((self.keys[-1] * PRIME + crc32(control)) % KEYS)
+        over = bool(terminated or truncated or len(self.actions) >= self.limit)
+        return seen, float(reward), over, info
+
+    def replay(self, steps: int) -> None:
+        """Play again up to a step."""
+        before = self.actions[:steps]
+        self.begin()
+        for one in before:
+            self.play(*one)
+
+
+@dataclass(frozen=True)
+class Explored:
+    """What random episodes have shown: percepts (N, D), rewards (M,), and the names in infos."""
+
+    percepts: NDArray[Any]
+    rewards: NDArray[np.float64]
+    infos: tuple[str, ...]
+
+
+class Episodes:
+    """Episodes of one environment in batches, which share at most `MOST` copies of it.
+
+    `percepts` and `controls` are what its observations and actions are made of. `threshold` is the
+    return from which it counts as solved, if it has one. `batch` counts batches; only episodes of
+    the last batch can continue.
+    """
+
+    def __init__(self, settings: GymnasiumSettings) -> None:
+        """Make the first environment; DomainError if it cannot be made or has other spaces."""
+        self._settings = settings
+        self._wrappers = [_wrapper(spec) for spec in settings.wrappers]
+        first, self._limit, self.threshold = self._made()
+        self._having = {0: first}  # the environments of episodes, the last one used last
+        self._played = dict[int, Episode]()
+        name, self._actions = settings.environment, first.action_space
+        self.percepts = percepts_of(first.observation_space, settings.percepts, name)
+        self.controls = controls_of(first.action_space, name)
+        self.batch = 0
+        self._starts: dict[int, tuple[Any, NDArray[Any]]] = {}
+
+    def __reduce__(self) -> tuple[type["Episodes"], tuple[GymnasiumSettings]]:
+        """Environments are not pickled: another process makes its own."""
+        return Episodes, (self._settings,)
+
+    def begin(self, seeds: list[int]) -> list[NDArray[Any]]:
+        """The first percepts (D,), not scaled, of a batch of episodes with these seeds."""
+        self.batch += 1
+        return [self.percepts.of(self._begun(i, seed)) for i, seed in enumerate(seeds)]
+
+    def first(self, seed: int) -> tuple[Any, NDArray[Any]]:
+        """The environment's own state and the percept at the start of an episode."""
+        known = self._starts.get(seed)
+        if known is None:
+            percept = self.percepts.of(self._begun(0, seed))
+            known = np.array(self._having[0].unwrapped.state), percept
+            self._starts[seed] = known
+        return known
+
+    def at(self, slot: int, batch: int, step: int, key: int) -> Episode:
+        """An episode at an earlier step; WorldError if other actions led to it."""
+        if batch != self.batch:
+            raise WorldError(
+                "a lane cannot go on after other lanes have begun in the same Gymnasium "
+                "environment; run one batch after the other"
+            )
+        episode = self._played[slot]
+        if step >= len(episode.keys) or episode.keys[step] != key:
+            raise WorldError(
+                "a lane cannot continue from this step, because its Gymnasium environment has "
+                "moved on; run each lane from its start"
+            )
+        lost = slot not in self._having
+        episode.environment = self._environment(slot)
+        if lost or step < len(episode.actions):
+            episode.replay(step)
+        return episode
+
+    def explored(self, count: int, most: int) -> Explored:
+        """What `count` episodes with random actions show, with at most `most` steps in each."""
+        percepts, rewards, infos = list[NDArray[Any]](), list[float](), set[str]()
+        self._actions.seed(0)
+        for seed in range(count):
+            percepts.append(self.percepts.of(self._begun(0, seed)))
+            for _ in range(most):
+                seen, reward, over, info = self._played[0].play(self._actions.sample())
+                percepts.append(self.percepts.of(seen))
+                rewards.append(reward)
+                infos.update(info)
+                if over:
+                    break
+        return Explored(np.stack(percepts), np.array(rewards), tuple(sorted(infos)))
+
+    def _begun(self, slot: int, seed: int) -> Any:
+        """Begin an episode; returns its first observation."""
+        self._played[slot] = Episode(self._environment(slot), seed, self._limit)
+        return self._played[slot].begin()
+
+    def _environment(self, slot: int) -> Any:
+        """The environment of an episode: its own, or a new one, or the one used longest ago."""
+        found = self._having.pop(slot, None)
+        if found is None and len(self._having) < MOST:
+            found = self._made()[0]
+        elif found is None:
+            found = self._having.pop(next(iter(self._having)))
+        self._having[slot] = found
+        return found
+
+    def _made(self) -> tuple[Any, float, float | None]:
+        """A new environment, its limit of steps, and its threshold.
+
+        The limit is kept here, which is faster than by Gymnasium's wrappers, but not with wrappers
+        of the user's, which may depend on it.
+        """
+        import gymnasium
+        from gymnasium.wrappers import OrderEnforcing, TimeLimit
+
+        name, keywords = self._settings.environment, self._settings.keywords
+        made: Any = foreign(
+            lambda: gymnasium.make(name, disable_env_checker=True, **keywords),
+            f"Gymnasium cannot make environment {name!r}",
+            "is it spelt right, is its package installed, and does it have these keywords (--env)?",
+        )
+        threshold = getattr(made.spec, "reward_threshold", None)
+        limit = getattr(made.spec, "max_episode_steps", None) or float("inf")
+        while not self._wrappers and type(made) in (OrderEnforcing, TimeLimit):
+            made = made.env
+        for spec, wrap in zip(self._settings.wrappers, self._wrappers, strict=True):
+            made = _wrapped(spec, wrap, made)
+        own = None if threshold is None else float(threshold)
+        return made, float("inf") if self._wrappers else limit, own
+
+
+def _wrapper(spec: str) -> Callable[[Any], Any]:
+    """The function "package.module:function"; DomainError if there is none."""
+    entry = EntryPoint("wrapper", spec, "cgtorch.wrappers")
+    found: Callable[[Any], Any] = foreign(entry.load, f"cannot import wrapper {spec!r}", NOT_FOUND)
+    if not callable(found):
+        raise DomainError(f"wrapper {spec!r} is {found!r:.80}; give a function of an environment")
+    return found
+
+
+def _wrapped(spec: str, wrap: Callable[[Any], Any], environment: Any) -> Any:
+    """The wrapped environment; DomainError if it is none."""
+    import gymnasium
+
+    found = foreign(lambda: wrap(environment), f"wrapper {spec!r} fails", "correct that first")
+    if not isinstance(found, gymnasium.Env):
+        raise DomainError(f"wrapper {spec!r} returned {found!r:.80}; return an environment")
+    return found

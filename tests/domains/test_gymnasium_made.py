@@ -1,0 +1,182 @@
+"""How Gymnasium environments are made: modules, keyword arguments and wrappers of the user's."""
+
+import json
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from support import seeded
+
+from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.domains.registry import full_name, is_code, make_domain, spec_of, with_name
+from cgtorch.domains.settings import from_plain, to_plain
+from cgtorch.ground.environment import start_lanes
+from cgtorch.ground.errors import DomainError, SettingsError
+from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import planned_run, read_run, write_run
+
+pytest.importorskip("gymnasium")
+from tiny_worlds import GOAL
+
+SLOWER, DOUBLED = "tiny_worlds:slower", "tiny_worlds:doubled"
+
+
+def domain_of(name: str = GOAL, **settings: Any) -> Gymnasium:
+    settings = {"target_return": -1.0, **settings}
+    made = make_domain(f"gymnasium:{name}", GymnasiumSettings(**settings))
+    assert isinstance(made, Gymnasium)
+    return made
+
+
+def way_of(domain: Gymnasium) -> tuple[torch.Tensor, torch.Tensor]:
+    """How far a step moves the point of each lane, and the rewards of it."""
+    world: Any = domain.world(domain.draw("starts", 3, seeded(0)))
+    lanes = start_lanes(world, torch.arange(3), world.control_size, 0)
+    after, _ = world.step(lanes, torch.full((3, 2), 0.5))
+    names = [field.name for field in domain.percept]
+    column = names.index("achieved_goal 1")
+    scale = domain.known.scaling.scale[column]
+    return (after.percept - lanes.percept)[:, column] * scale, world.returns(after)
+
+
+def test_the_name_imports_the_module() -> None:
+    code = (
+        "from cgtorch.domains.registry import make_domain, settings_class as kind; "
+        "import sys; name = 'gymnasium:tiny_worlds:Tiny/Goal-v0'; settings = kind(name)(); "
+        "print('tiny_worlds' in sys.modules); "
+        "print(len(make_domain(name, settings).percept), 'tiny_worlds' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).parent,
+    )
+    assert done.stdout.split() == ["False", "6", "True"]
+
+
+def test_keyword_arguments_are_those_of_the_environment() -> None:
+    slow, fast = domain_of(env={"speed": 0.1}), domain_of(env=("speed=0.4",))
+    assert torch.allclose(way_of(fast)[0], 4 * way_of(slow)[0], atol=1e-5)
+    with pytest.raises(DomainError, match=r"Gymnasium cannot make .*unexpected keyword.*'sped'"):
+        domain_of(env={"sped": 1})
+    with pytest.raises(DomainError, match=r"cannot make environment 'no_such:A-v0'.*no_such"):
+        domain_of("no_such:A-v0")
+
+
+def test_values_are_json_or_python_or_texts() -> None:
+    given = {
+        "a": 1, "b": True, "c": None, "d": [1, 2.5], "e": {"x": (1, 2)}, "f": "4x4", "g": "1",
+        "h": "true", "i": 1e-3, "j": "a=b", "k": "", "l": "None",
+    }  # fmt: skip
+    settings = GymnasiumSettings(env=given)
+    assert settings.keywords == given
+    stored = json.loads(json.dumps(to_plain(settings)))
+    assert from_plain(GymnasiumSettings, stored) == settings
+    words = ("continuous=true", "gravity=-3.5", "map_name=8x8", "size=(3, 4)", "wind=None")
+    assert GymnasiumSettings(env=words).keywords == {
+        "continuous": True, "gravity": -3.5, "map_name": "8x8", "size": (3, 4), "wind": None,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"env": ("speed",)}, "env is 'speed'; give NAME=VALUE, such as"),
+        ({"env": ("a b=3",)}, "env is 'a b=3'; give NAME=VALUE"),
+        ({"env": {"speed": object()}}, "env has speed <object .*, which cannot be stored in a run"),
+        ({"env": "speed=3"}, "env are 'speed=3'; give names in a tuple"),
+        ({"wrappers": ("slower",)}, "wrappers has 'slower'; give package.module:function"),
+    ],
+)
+def test_settings_that_cannot_work(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        GymnasiumSettings(**settings)
+
+
+def test_wrappers_are_applied_in_order_and_in_other_processes() -> None:
+    plain, slow, both = domain_of(), domain_of(wrappers=(SLOWER,)), domain_of(f"{GOAL}+{DOUBLED}")
+    assert torch.allclose(way_of(plain)[0], 2 * way_of(slow)[0], atol=1e-5)
+    assert torch.allclose(2 * way_of(plain)[1], way_of(both)[1])
+    assert both.settings.wrappers == (DOUBLED,)
+    again = pickle.loads(pickle.dumps(both.episodes))  # noqa: S301  our own bytes
+    assert again.explored(1, 5).rewards == pytest.approx(both.episodes.explored(1, 5).rewards)
+    # A time limit that a wrapper may depend on stays inside.
+    assert way_of(domain_of("tiny_worlds:Tiny/Goal-v0", wrappers=(SLOWER, DOUBLED)))[1].sum() < 0
+
+
+@pytest.mark.parametrize(
+    ("wrapper", "message"),
+    [
+        ("tiny_worlds:lost", "wrapper 'tiny_worlds:lost' returned None; return an environment"),
+        ("tiny_worlds:breaking", r"'tiny_worlds:breaking' fails .*no such sensor\) in line .*tiny"),
+        ("tiny_worlds:NOTHING", "wrapper 'tiny_worlds:NOTHING' is 3; give a function"),
+        ("tiny_worlds:fast", "cannot import wrapper 'tiny_worlds:fast' .*AttributeError"),
+        ("no_such:fast", "cannot import wrapper 'no_such:fast' .*is it spelt right"),
+    ],
+)
+def test_wrappers_that_cannot_work(wrapper: str, message: str) -> None:
+    with pytest.raises(DomainError, match=message):
+        domain_of(wrappers=(wrapper,))
+
+
+def test_a_name_has_all_code_that_is_imported() -> None:
+    assert not is_code("gymnasium:CartPole-v1")
+    assert is_code("gymnasium:tiny_worlds:Tiny/Goal-v0")
+    assert is_code(f"gymnasium:CartPole-v1+{SLOWER}")
+    name = f"gymnasium:{GOAL}+{SLOWER}+{DOUBLED}"
+    settings: Any = with_name(name, GymnasiumSettings())
+    assert (settings.environment, settings.wrappers) == (GOAL, (SLOWER, DOUBLED))
+    assert full_name(f"gymnasium:{GOAL}", settings) == name
+    assert full_name("tabletop", GymnasiumSettings()) == "tabletop"
+    assert spec_of(domain_of(wrappers=(SLOWER,)))[0] == f"gymnasium:{GOAL}+{SLOWER}"
+    with pytest.raises(DomainError, match="names other wrappers than tiny_worlds:slower; give the"):
+        with_name(f"gymnasium:{GOAL}+{DOUBLED}", GymnasiumSettings(wrappers=(SLOWER,)))
+    for wrong in ("a:b:c", "a;b:C", "C+d e:f"):
+        with pytest.raises((DomainError, SettingsError)):
+            with_name(f"gymnasium:{wrong}", GymnasiumSettings())
+
+
+@pytest.mark.parametrize("name", [f"gymnasium:{GOAL}", f"gymnasium:Pendulum-v1+{DOUBLED}"])
+def test_code_is_not_imported_because_a_run_names_it(tmp_path: Path, name: str) -> None:
+    settings = GymnasiumSettings(target_return=-1.0)
+    write_run(planned_run(tmp_path / "run", RunSettings(domain=name), settings))
+    with pytest.raises(
+        DomainError, match=r"which is code of its own; if you trust it.*--domain gy"
+    ):
+        read_run(tmp_path / "run")
+    assert read_run(tmp_path / "run", domain=name).settings.domain == name
+    with pytest.raises(DomainError, match="not 'gymnasium:Tiny/Goal-v0'; give that"):
+        read_run(tmp_path / "run", domain="gymnasium:Tiny/Goal-v0")
+
+
+@pytest.mark.parametrize("hidden", [{"environment": GOAL}, {"wrappers": [DOUBLED]}])
+def test_settings_cannot_hide_code(tmp_path: Path, hidden: dict[str, Any]) -> None:
+    settings = with_name("gymnasium:Pendulum-v1", GymnasiumSettings(target_return=-1.0))
+    run = RunSettings(domain="gymnasium:Pendulum-v1")
+    write_run(planned_run(tmp_path / "run", run, settings))
+    about = json.loads((tmp_path / "run" / "run.json").read_text())
+    about["domain_settings"] |= hidden
+    (tmp_path / "run" / "run.json").write_text(json.dumps(about))
+    with pytest.raises(DomainError, match=r"has settings of 'gymnasium:.*; restore its run.json"):
+        read_run(tmp_path / "run")
+
+
+def test_a_run_of_before_these_settings_is_read(tmp_path: Path) -> None:
+    run = RunSettings(domain="gymnasium:Acrobot-v1")
+    write_run(planned_run(tmp_path / "run", run, GymnasiumSettings("Acrobot-v1")))
+    path, stored = tmp_path / "run" / "run.json", tmp_path / "run" / "gymnasium.json"
+    about = json.loads(path.read_text())
+    for name in ("env", "percepts", "success", "success_at", "wrappers"):
+        del about["domain_settings"][name]
+    path.write_text(json.dumps(about))
+    known = json.loads(stored.read_text())
+    del known["remark"]
+    stored.write_text(json.dumps(known))
+    assert read_run(tmp_path / "run").domain.settings == GymnasiumSettings("Acrobot-v1")

@@ -1,0 +1,155 @@
+"""Spaces of Gymnasium as percepts and controls."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support import seeded
+
+from cgtorch.domains.check import check_domain
+from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of
+from cgtorch.domains.registry import make_domain
+from cgtorch.ground.environment import start_lanes
+from cgtorch.ground.errors import DomainError
+
+gymnasium = pytest.importorskip("gymnasium")
+from gymnasium import spaces  # noqa: E402
+from tiny_worlds import GOAL, MUTE, TALK, ZOO  # noqa: E402
+
+
+def domain_of(name: str, **settings: Any) -> Gymnasium:
+    settings = {"target_return": -1.0, **settings}
+    made = make_domain(f"gymnasium:{name}", GymnasiumSettings(**settings))
+    assert isinstance(made, Gymnasium)
+    return made
+
+
+def remarks_of(domain: Gymnasium) -> list[str]:
+    return domain.pictures(domain).remarks()
+
+
+def names_of(domain: Gymnasium) -> list[str]:
+    return [field.name for field in domain.percept]
+
+
+def test_each_number_of_an_observation_has_a_name() -> None:
+    assert names_of(domain_of(ZOO)) == [
+        "observation[1] 1", "observation[1] 2",
+        "observation[2].level = 1", "observation[2].level = 2", "observation[2].level = 3",
+        "observation[2].matrix 1,1", "observation[2].matrix 1,2",
+        "observation[2].matrix 2,1", "observation[2].matrix 2,2",
+        "observation[3] 1 = 0", "observation[3] 1 = 1",
+        "observation[3] 2 = 0", "observation[3] 2 = 1", "observation[3] 2 = 2",
+        "observation[4]",
+    ]  # fmt: skip
+    assert names_of(domain_of("CartPole-v1"))[:2] == ["observation 1", "observation 2"]
+    assert names_of(domain_of("FrozenLake-v1"))[15] == "observation = 15"
+
+
+def test_percepts_are_what_gymnasium_flattens() -> None:
+    space = gymnasium.make(ZOO).observation_space
+    percepts = percepts_of(space, (), ZOO)
+    for seed in range(5):
+        space.seed(seed)
+        seen = space.sample()
+        flat = spaces.flatten(space, seen)
+        assert isinstance(flat, np.ndarray)
+        assert percepts.of(seen) == pytest.approx(flat)
+
+
+def test_each_number_of_an_action_has_a_name_and_bounds() -> None:
+    fields = {f.name: (f.low, f.high) for f in domain_of(ZOO).control}
+    assert fields == {
+        **{f"arm {place}": (-9, 9) for place in ("1,1", "1,2", "2,1", "2,2")},
+        **dict.fromkeys(["preference for both[1] 1", "preference for both[1] 2"], (-1, 1)),
+        "both[2] 1": (-1, 1),
+        **{
+            f"preference for keys {end}": (-1, 1)
+            for end in ("1: 1", "1: 2", "2: 1", "2: 2", "2: 3")
+        },
+        **dict.fromkeys(["preference for lamps 1", "preference for lamps 2"], (-1, 1)),
+    }
+
+
+def test_the_preferred_choices_are_taken() -> None:
+    controls = controls_of(gymnasium.make(ZOO).action_space, ZOO)
+    rows = [
+        [1, -20, 3, 20, 0.5, 0.2, 7, -1, 1, 0, 2, 3, 1, -1],
+        [0, 0, 0, 0, 0.1, 0.2, -7, 1, -1, 2, 1, 0, -1, 0.1],
+    ]
+    one, other = controls.actions(np.array(rows, dtype=np.float32))
+    assert one["arm"].tolist() == [[1, -9], [3, 9]]
+    assert (one["both"][0], one["both"][1].tolist()) == (5, [1])
+    assert (one["keys"].tolist(), one["lamps"].tolist()) == ([1, 2], [1, 0])
+    assert (other["both"][0], other["both"][1].tolist()) == (6, [-1])
+    assert (other["keys"].tolist(), other["lamps"].tolist()) == ([0, 0], [0, 1])
+    grid = spaces.MultiDiscrete(np.array([[2, 2], [2, 2]]), start=np.array([[0, 1], [2, 3]]))
+    chosen = controls_of(grid, "grid").actions(np.array([[0, 1, 1, 0, 0, 1, 1, 0.0]]))
+    assert chosen[0].tolist() == [[1, 1], [3, 3]]
+    assert grid.contains(chosen[0])
+
+
+@pytest.mark.parametrize("name", [ZOO, GOAL, "FrozenLake-v1", "Blackjack-v1"])
+def test_other_spaces_keep_the_interface(name: str) -> None:
+    domain = domain_of(name, env=("is_slippery=false",) if name == "FrozenLake-v1" else ())
+    check_domain(domain, "starts")
+    world = domain.world(domain.draw("starts", 3, seeded(0)))
+    lanes = start_lanes(world, torch.arange(3), world.control_size, 0)
+    for _ in range(3):
+        control = torch.rand(3, world.control_size, generator=seeded(1))
+        lanes, _ = world.step(lanes, control)
+    assert lanes.percept.isfinite().all()
+
+
+def test_percepts_are_chosen_by_names_and_patterns() -> None:
+    assert names_of(domain_of(GOAL, percepts=("*_goal",))) == [
+        "achieved_goal 1", "achieved_goal 2", "desired_goal 1", "desired_goal 2",
+    ]  # fmt: skip
+    few = domain_of(GOAL, percepts=("desired_goal 2", "observation"))
+    assert names_of(few) == ["observation 1", "observation 2", "desired_goal 2"]
+    assert names_of(domain_of(ZOO, percepts=("observation[4]",))) == ["observation[4]"]
+    assert remarks_of(few) == []
+
+
+@pytest.mark.parametrize("name", ["CartPole-v1", "Pendulum-v1"])
+def test_chosen_percepts_are_those_of_all(name: str) -> None:
+    every, few = domain_of(name), domain_of(name, percepts=("observation 1", "observation 3"))
+    seen = []
+    for domain in (every, few):
+        world = domain.world(domain.draw("starts", 3, seeded(0)))
+        lanes = start_lanes(world, torch.arange(3), world.control_size, 0)
+        lanes, _ = world.step(lanes, torch.ones(3, world.control_size))
+        seen.append(lanes.percept)
+    assert torch.equal(seen[0][:, [0, 2]], seen[1])
+
+
+def test_what_has_no_numbers_is_left_out_and_told() -> None:
+    domain = domain_of(GOAL)
+    assert len(domain.percept) == 6
+    assert remarks_of(domain) == ["Percepts lack mission, which has no fixed numbers."]
+    assert ("Remark", remarks_of(domain)[0]) in domain.pictures(domain).about()
+
+
+@pytest.mark.parametrize(
+    ("name", "percepts", "message"),
+    [
+        (MUTE, (), "has observations Text.*; only numbers can be percepts"),
+        (TALK, (), r"has word in Text.*; only numbers and choices can be controls"),
+        (GOAL, ("mission",), r"percepts 'mission': mission of environment .* is Text\(.*leave it"),
+        (GOAL, ("gaol",), "percepts 'gaol' matches nothing .* it has observation, achieved"),
+    ],
+)  # fmt: skip
+def test_other_spaces_are_refused(name: str, percepts: tuple[str, ...], message: str) -> None:
+    with pytest.raises(DomainError, match=message):
+        domain_of(name, percepts=percepts)
+
+
+def test_an_action_without_numbers_is_refused() -> None:
+    with pytest.raises(DomainError, match=r"has actions Dict.*; only numbers and choices"):
+        controls_of(spaces.Dict(), "Empty-v0")
+    names = spaces.Dict({f"part{i}": spaces.Discrete(2) for i in range(20)})
+    with pytest.raises(DomainError, match=r"part11.*, …$|, …$"):
+        percepts_of(names, ("nose",), "Long-v0")
