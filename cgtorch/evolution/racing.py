@@ -24,9 +24,10 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
     """An evaluation in which half the individuals leave before each doubling of the scenarios.
 
     All run on the first scenario, the better half of them on the second, the better half of these
-    on two more, and so on. Who has solved everything so far stays, too, and the race ends where
-    nobody solves anything. Where an individual has not run, it has not succeeded, and its score is
-    0, or `WORST` with rewards. With some of W (`keep`) there is no race. For the arguments see
+    on two more, and so on; nobody goes on where nobody has solved anything. Who has solved
+    everything so far stays, and so does the first individual, which is the best one of earlier
+    generations. Where an individual has not run, it has not succeeded, and its score is 0, or
+    `WORST` with rewards. With some of W (`keep`) there is no race. For the arguments see
     `cgtorch.evolution.fitness.evaluator`.
     """
     if keep.any() or len(keep) < 2:
@@ -41,21 +42,22 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
         home, count = graphs.start.device, len(graphs)
         scores = torch.full((count, len(keep)), least, device=home)
         succeeded = torch.zeros_like(scores, dtype=torch.bool)
-        alive, ran, counts = torch.arange(count, device=home), 0, [0, 0, 0]
+        alive, counts = torch.arange(count, device=home), [0, 0, 0]
+        last, ran = 0, 0
         for rows, evaluate in legs:
             if ran:
                 better = scores[alive, :ran].mean(1).argsort(descending=True, stable=True)
                 stays = succeeded[alive, :ran].all(1)
-                stays[better[: max(FEWEST, len(alive) // 2)]] = True
+                if succeeded[alive, last:ran].any():
+                    stays[better[: max(FEWEST, len(alive) // 2)]] = True
+                stays[0] = True
                 alive = alive[stays]
             found = evaluate(graphs[alive])
             scores[alive[:, None], rows.to(home)] = found.scores
             succeeded[alive[:, None], rows.to(home)] = found.succeeded
-            ran += len(rows)
+            last, ran = ran, ran + len(rows)
             more = found.transitions, found.executed, found.not_finite
             counts = [a + b for a, b in zip(counts, more, strict=True)]
-            if not found.succeeded.any():
-                break
         return Evaluation(scores.mean(1), scores, succeeded, *counts)
 
     return evaluation

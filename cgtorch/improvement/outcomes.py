@@ -26,6 +26,31 @@ def known_rates(state: StageState[S]) -> Tensor:
     return torch.cat([solved, current[:, None]], 1)
 
 
+def estimated_rates(state: StageState[S], reliable: float) -> Tensor:
+    """(B, M) how surely members solve scenarios: 1 or 0 where that is known.
+
+    Elsewhere a member counts as `reliable` if it solves the nearest scenario, by first percepts,
+    where it is known.
+    """
+    rates = (state.outcomes > 0).float()
+    for place, known in enumerate((state.outcomes != 0).T):
+        if known.any() and not known.all():
+            nearest = torch.cdist(state.percepts[~known], state.percepts[known]).argmin(1)
+            rates[~known, place] = reliable * rates[known, place][nearest]
+    return rates
+
+
+def decisive(state: StageState[S]) -> Tensor:
+    """(B,) bool, where one member is known to succeed and another to fail."""
+    return (state.outcomes > 0).any(1) & (state.outcomes < 0).any(1)
+
+
+def near_by(state: StageState[S], rows: Tensor, among: Tensor, count: int) -> Tensor:
+    """`count` indices of those `among` (N,) whose first percepts are nearest to some of `rows`."""
+    distance = torch.cdist(state.percepts[among], state.percepts[rows]).amin(1)
+    return among[distance.argsort(stable=True)[:count]]
+
+
 def surely(state: StageState[S], candidate: Candidate) -> Tensor:
     """(B,) long, 1 or -1 where the result of a candidate is known, else 0."""
     sent = candidate.sent_to(state.percepts)

@@ -17,7 +17,14 @@ from cgtorch.ground.environment import Dataset
 from cgtorch.improvement.compose import branching_action, compose, fewest_members
 from cgtorch.improvement.events import ModelsFitted, S
 from cgtorch.improvement.gating import train_gating
-from cgtorch.improvement.outcomes import expected, known_rates, tried
+from cgtorch.improvement.outcomes import (
+    decisive,
+    estimated_rates,
+    expected,
+    known_rates,
+    near_by,
+    tried,
+)
 from cgtorch.improvement.setup import Models, Setup
 from cgtorch.improvement.specialists import specialist
 from cgtorch.improvement.state import BLAME, Candidate, StageState
@@ -25,6 +32,7 @@ from cgtorch.simulation import rollout
 
 RELIABLE = 0.9  # share of replays from which a skill counts as solving a scenario
 FEWEST = 4  # missed scenarios, to which solved ones are added for a group
+DECIDES = 30.0  # weight of a scenario where the wrong member is known to fail
 OTHERS = 8  # solved scenarios that are added
 REFLECT = 8  # episodes after which the models learn, however well all went
 THOUGHTS = 3  # candidates in the models before one acts, where trials take a robot's time
@@ -82,6 +90,8 @@ def _candidate(setup: Setup[S], state: StageState[S]) -> tuple[Candidate, StageS
     best, current = rates[:, :-1].amax(1), state.current
     if current is not None and bool((rates[:, -1] >= best.clamp(max=RELIABLE)).all()):
         return current, state
+    if setup.remembers:
+        rates = pad(estimated_rates(state, RELIABLE), (0, 1))
     new = composed(setup, state, rates[:, :-1])
     if current is None:
         return new, state
@@ -133,7 +143,10 @@ def with_member(setup: Setup[S], state: StageState[S], missed: Tensor) -> StageS
     """The state with a specialist evolved in the models on `missed` (B,) scenarios."""
     name = f"{setup.name}.{state.number}"
     rows = setup.group_of(state.percepts, missed, setup.widest, setup.generator)
-    if len(rows) < FEWEST:
+    if setup.remembers:
+        solved = (~missed).nonzero()[:, 0]
+        rows = torch.cat([rows, near_by(state, rows, solved, setup.widest - len(rows))])
+    elif len(rows) < FEWEST:
         solved = (~missed).nonzero()[:, 0]
         some = torch.randperm(len(solved), generator=setup.generator)[:OTHERS]
         rows = torch.cat([rows, solved[some]])
@@ -169,6 +182,8 @@ def composed(setup: Setup[S], state: StageState[S], rates: Tensor) -> Candidate:
     chosen = fewest_members(rates >= RELIABLE, setup.team) or [int(rates.mean(0).argmax())]
     _, branch = branching_action(setup.actions)
     weight = torch.where(state.tried | state.targets, 3.0, 1.0)
+    if setup.remembers:
+        weight[decisive(state)] = DECIDES
     branches = train_gating(branch, state.percepts, rates[:, chosen], weight, setup.generator)
     name, members = f"{setup.name}-{state.number}", [state.members[i] for i in chosen]
     about = branches, setup.actions, setup.max_transitions

@@ -151,7 +151,7 @@ def test_the_name_of_a_gymnasium_domain_says_which_environment() -> None:
     own = RailSettings()
     assert with_name("rail:Cart", own) is own
     for spec in ("gymnasium", "gymnasium:", "gymnasium:a b"):
-        assert "names no environment; give gymnasium:ENV_ID" in refused(with_name, spec, settings)
+        assert "names no environment; give gymnasium:NAME" in refused(with_name, spec, settings)
 
 
 def test_no_setting_of_a_domain_is_called_as_one_of_every_run() -> None:

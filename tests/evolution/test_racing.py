@@ -22,11 +22,9 @@ def raced(scores: Tensor, solved: Tensor) -> tuple[Tensor, Tensor]:
         for one in alive:
             seen[one, begin:end] = scores[one, begin:end]
             won[one, begin:end] = solved[one, begin:end]
-        if not won[:, begin:end].any():
-            break
         ranked = sorted(alive, key=lambda one: -float(seen[one, :end].mean()))
-        better = ranked[: max(2, len(alive) // 2)]
-        alive = [one for one in alive if one in better or won[one, :end].all()]
+        better = ranked[: max(2, len(alive) // 2)] if won[:, begin:end].any() else []
+        alive = [one for one in alive if one in (0, *better) or won[one, :end].all()]
         begin, end = end, min(2 * end, scores.shape[1])
     return seen, won
 
