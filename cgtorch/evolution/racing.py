@@ -24,7 +24,7 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
     """An evaluation in which half the individuals leave before each doubling of the scenarios.
 
     All run on the first scenario, the better half of them on the second, the better half of these
-    on two more, and so on; nobody goes on where nobody has solved anything. Who has solved
+    on two more, and so on; where nobody has solved anything, only the best goes on. Who has solved
     everything so far stays, and so does the first individual, which is the best one of earlier
     generations. Where an individual has not run, it has not succeeded, and its score is 0, or
     `WORST` with rewards. With some of W (`keep`) there is no race. For the arguments see
@@ -48,8 +48,8 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
             if ran:
                 better = scores[alive, :ran].mean(1).argsort(descending=True, stable=True)
                 stays = succeeded[alive, :ran].all(1)
-                if succeeded[alive, last:ran].any():
-                    stays[better[: max(FEWEST, len(alive) // 2)]] = True
+                solved = bool(succeeded[alive, last:ran].any())
+                stays[better[: max(FEWEST, len(alive) // 2) if solved else 1]] = True
                 stays[0] = True
                 alive = alive[stays]
             found = evaluate(graphs[alive])

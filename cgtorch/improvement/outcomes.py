@@ -16,6 +16,8 @@ from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.state import Candidate, StageState
 from cgtorch.improvement.trial import attempt
 
+NEIGHBOURS = 6
+
 
 def known_rates(state: StageState[S]) -> Tensor:
     """(B, M + 1) 1 where a member, and last the current skill, is known to solve a scenario."""
@@ -29,15 +31,15 @@ def known_rates(state: StageState[S]) -> Tensor:
 def estimated_rates(state: StageState[S], reliable: float) -> Tensor:
     """(B, M) how surely members solve scenarios: 1 or 0 where that is known.
 
-    Elsewhere a member counts as `reliable` if it solves the nearest scenario, by first percepts,
-    where it is known.
+    Elsewhere a member counts as `reliable` if, among the `NEIGHBOURS` nearest scenarios by first
+    percepts, it is known to solve some and to fail on none.
     """
-    rates = (state.outcomes > 0).float()
-    for place, known in enumerate((state.outcomes != 0).T):
-        if known.any() and not known.all():
-            nearest = torch.cdist(state.percepts[~known], state.percepts[known]).argmin(1)
-            rates[~known, place] = reliable * rates[known, place][nearest]
-    return rates
+    distance = torch.cdist(state.percepts, state.percepts)
+    near = distance.topk(min(NEIGHBOURS, len(distance)), largest=False).indices
+    around = state.outcomes[near]
+    promising = (around > 0).any(1) & ~(around < 0).any(1)
+    rates = torch.where(promising, reliable, 0.0)
+    return torch.where(state.outcomes == 0, rates, (state.outcomes > 0).float())
 
 
 def decisive(state: StageState[S]) -> Tensor:

@@ -44,7 +44,7 @@ IN_A_ROW, LIVE_IN_A_ROW = 150, 20
 """The default number of fresh scenarios to solve in a row, in a world that can be put back into any
 scenario, and in one where each trial takes its time. A stage there asks for half as many, since
 other stages follow."""
-NEW, SMALL = 3, (3, 8)
+NEW, SMALL = 2, (3, 8)
 """One individual in so many is new in each generation, and the fewest and most nodes of first
 graphs, where low-level steps are counted."""
 SETTLED = 20  # generations without a better fitness after which the search for a solved group ends

@@ -66,7 +66,7 @@ def test_a_class_of_ones_own_is_code() -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_an_installed_domain_is_known_by_its_name() -> None:
-    assert known_names() == ["cart", "gymnasium", "tabletop"]
+    assert {"cart", "gymnasium", "metaworld", "tabletop"} < set(known_names())
     assert domain_class("cart") is Cart
     assert make_domain("cart").settings == RailSettings()
     assert "cart, gymnasium, tabletop" in refused(domain_class, "carts")

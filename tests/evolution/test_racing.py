@@ -23,7 +23,8 @@ def raced(scores: Tensor, solved: Tensor) -> tuple[Tensor, Tensor]:
             seen[one, begin:end] = scores[one, begin:end]
             won[one, begin:end] = solved[one, begin:end]
         ranked = sorted(alive, key=lambda one: -float(seen[one, :end].mean()))
-        better = ranked[: max(2, len(alive) // 2)] if won[:, begin:end].any() else []
+        half = max(2, len(alive) // 2)
+        better = ranked[: half if won[:, begin:end].any() else 1]
         alive = [one for one in alive if one in (0, *better) or won[one, :end].all()]
         begin, end = end, min(2 * end, scores.shape[1])
     return seen, won
