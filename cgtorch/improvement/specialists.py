@@ -1,7 +1,7 @@
 """Specialists: small graphs evolved on a group of missed scenarios, without W as a constraint."""
 
 import time
-from dataclasses import replace
+from dataclasses import astuple, replace
 from math import inf
 from typing import Any
 
@@ -21,7 +21,7 @@ from cgtorch.evolution.ask_and_tell import restore
 from cgtorch.evolution.population import slim
 from cgtorch.graphs import NO_NODE, ActionSet, Graphs, compacted, pruned, resized
 from cgtorch.ground import distributed as ranks
-from cgtorch.ground.asked import NOTHING
+from cgtorch.ground.asked import NOTHING, Asked
 from cgtorch.ground.environment import Environment, asked_of
 from cgtorch.improvement.checkpoint import (
     Found,
@@ -96,8 +96,8 @@ def _held(setup: Setup[Any], found: Found, environment: Environment) -> Found:
     limit, fitness = setup.max_transitions, setup.evolution.fitness
     evaluate = evaluator(setup.actions, environment, nothing, limit, fitness=fitness)
     before = asked_of(environment)
-    result = evaluate(found.champion.graphs)
-    asked = asked_of(environment) - before
+    result = evaluate(found.champion.graphs)  # by the first rank alone
+    asked = Asked(*(ranks.all_reduce(n) for n in astuple(asked_of(environment) - before)))
     held = replace(found, solved=result.succeeded[0], best=float(result.fitness), asked=asked)
     return _counted(setup, held)
 
@@ -176,7 +176,8 @@ def evolve_candidate(
         done = generation, setup.budget.generations, seconds
         setup.watch(GenerationDone(setup.name, name, *counts, *done))
         now = asked_of(environment)
-        found, began = found.after(generation, seconds, now - before), began + seconds
+        asked = Asked(*(ranks.all_reduce(n) for n in astuple(now - before)))
+        found, began = found.after(generation, seconds, asked), began + seconds
         before = now
         if setup.budget.ends(found):
             break

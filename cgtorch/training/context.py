@@ -44,9 +44,10 @@ IN_A_ROW, LIVE_IN_A_ROW = 150, 20
 """The default number of fresh scenarios to solve in a row, in a world that can be put back into any
 scenario, and in one where each trial takes its time. A stage there asks for half as many, since
 other stages follow."""
-NEW, SMALL = 2, (3, 8)
-"""One individual in so many is new in each generation, and the fewest and most nodes of first
-graphs, where low-level steps are counted."""
+NEW, SMALL, ROUNDS = 2, (3, 8), 3
+"""Where low-level steps are counted: one individual in so many is new in each generation, the
+fewest and most nodes of first graphs, and rounds of tournaments, since lexicase selection on one
+scenario would leave one parent."""
 SETTLED = 20  # generations without a better fitness after which the search for a solved group ends
 
 
@@ -175,7 +176,8 @@ def evolution_settings(run: StoredRun) -> EvolutionSettings:
     )
     if counting(run.domain):
         new = s.population // NEW
-        return replace(common, evaluate=race, newcomers=new, initial_nodes=SMALL)
+        few = replace(common, evaluate=race, newcomers=new, initial_nodes=SMALL)
+        return replace(few, selection=tournament(ROUNDS))
     if not graded or s.method == "paper" or s.islands > 1:
         return common
     return replace(

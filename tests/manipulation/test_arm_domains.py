@@ -11,6 +11,7 @@ from arms import chain, fetch, meta_world, starts
 from cgtorch.domains.registry import is_code, make_domain, settings_class
 from cgtorch.ground.environment import start_lanes
 from cgtorch.ground.errors import DomainError
+from cgtorch.improvement.events import Event, GenerationDone
 from cgtorch.manipulation.metaworld import CW10
 from cgtorch.manipulation.settings import FetchSettings, ManipulationSettings
 from cgtorch.manipulation.simulator import CLOSEST, SEEN, SOLVED
@@ -118,3 +119,29 @@ def test_a_skill_is_trained_counted_and_tried(tmp_path: Path) -> None:
         max_transitions=run.skill.max_transitions,
     ).state[0, 0]  # fmt: skip
     assert row[SEEN:].isfinite().all()
+
+
+def test_a_training_that_was_stopped_ends_as_if_it_had_not_been(tmp_path: Path) -> None:
+    """Also what is counted, though some of it was simulated twice."""
+    about = {"stage": "01-reach-v3", "seed": 2, "population": 12, "practice": 3, "quiet": True}
+    whole = train("metaworld:MT10", tmp_path / "whole", **about)
+    told = list[str]()
+
+    def watch(event: Event) -> bool:
+        told.append(type(event).__name__)
+        return isinstance(event, GenerationDone) and event.generation.number == 1
+
+    train("metaworld:MT10", tmp_path / "stopped", watch=watch, checkpoint_seconds=0, **about)
+    stopped = open_run(tmp_path / "stopped")
+    if "StageFinished" not in told:
+        stopped = stopped.resume(quiet=True)
+    assert stopped.stages == whole.stages
+    one, other = (
+        (run.folder / "01-reach-v3" / "skill.json").read_text() for run in (whole, stopped)
+    )
+    assert one == other
+    counts = [
+        [sum(phase["steps"] for phase in run.results[-1]["asked"].values())]
+        for run in (whole, stopped)
+    ]
+    assert counts[0] == counts[1]
