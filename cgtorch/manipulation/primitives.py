@@ -16,7 +16,7 @@ from cgtorch.graphs import Action
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.manipulation.arm import Arm
 
-OFFSET, WAY = 0.03, 0.1  # m by which one unit of a parameter moves a target
+OFFSET, WAY, DEEP = 0.03, 0.1, 0.06  # m by which one unit of a parameter moves a target
 SMALL = 0.4  # the standard deviation of offsets of new nodes, in units of `OFFSET`
 CLEARANCE = 0.08  # m above a thing from which the hand comes down to it
 FAR, NEAR, SHORT = 45, 25, 30  # low-level steps of segments, at most
@@ -178,13 +178,23 @@ class Carry(Primitive):
 
 
 class Insert(Carry):
-    """Carry the object to the place, first across and up or down, then along x."""
+    """Carry the object to the place, first across and up or down, then along x.
+
+    The first parameter, how far it goes along x, has a unit of `DEEP`, as objects can be long.
+    """
+
+    def initial_parameters(self, n: int, generator: Generator) -> Tensor:
+        """See `Action.initial_parameters`."""
+        drawn = super().initial_parameters(n, generator)
+        drawn[:, 0] /= SMALL
+        return drawn
 
     def forward(
         self, lanes: Lanes, parameters: Tensor, environment: Environment
     ) -> tuple[Lanes, Tensor]:
         """See `Action.forward`."""
-        target, hand = self.carried(lanes, parameters), self.at(lanes)
+        unit = parameters.new_tensor([DEEP / OFFSET, 1.0, 1.0])
+        target, hand = self.carried(lanes, unit * parameters), self.at(lanes)
         aside = torch.cat([hand[:, :1], target[:, 1:]], 1)
         lanes = self.go(lanes, environment, aside, FAR, near=PASSED / 2)
         return self.ended(self.go(lanes, environment, target, FAR), environment)

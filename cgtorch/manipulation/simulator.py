@@ -18,6 +18,8 @@ STEPS, SOLVED, CLOSEST, SEEN = range(4)
 X, Y, Z, GRIP, LIMIT, SPEED, NEAR = range(7)
 """Columns of a control: a target in m, -1 to open the gripper or 1 to close it, low-level steps at
 most, a share of the full speed, and the distance on each axis, in m, at which the motion ends."""
+STILL, PATIENCE = 0.001, 4
+"""A motion ends, too, if the hand moved less than so far, in m, in so many low-level steps."""
 REMEMBERED = 40_000  # segments, of about 4 kB each
 
 Floats = NDArray[np.float64]
@@ -103,12 +105,16 @@ class Simulator(ABC):
         limit = int(np.clip(control[LIMIT], 1, self.horizon - row[STEPS]))
         speed = np.clip(control[SPEED], 0.05, 1.0)
         done, solved, closest, found = 0, False, row[CLOSEST], None
+        places = list[Floats]()
         while done < limit and not (solved and not self.at_the_end):
-            way = control[:GRIP] - self.hand()
+            places.append(self.hand().copy())
+            way = control[:GRIP] - places[-1]
             fast = self.gain * way
             fast *= min(1.0, speed / max(np.abs(fast).max(), 1e-9))
             done += 1
             arrived = done > 1 and np.abs(way).max() < control[NEAR]
+            if control[NEAR] and done > PATIENCE:  # else it waits, or closes the gripper
+                arrived |= np.abs(places[-1] - places[-1 - PATIENCE]).max() < STILL
             last = done == limit or arrived
             found = self.move(np.array([*fast, control[GRIP]]), last) or found
             if found is not None:
