@@ -18,7 +18,7 @@ from cgtorch.evolution import (
     mutate,
 )
 from cgtorch.evolution.ask_and_tell import restore
-from cgtorch.evolution.population import slim
+from cgtorch.evolution.population import random_population, slim
 from cgtorch.graphs import NO_NODE, ActionSet, Graphs, compacted, pruned, resized
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NOTHING, Asked
@@ -40,6 +40,7 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.setup import Models, Setup
 
 READABLE = 10  # nodes that a picture shows at a glance
+FEW_NEW = 3  # of half a population, one in so many is new where mutants of a skill are evolved
 SLACK = 1e-3  # of the fitness that a smaller graph may cost
 
 
@@ -78,7 +79,7 @@ def specialist(
                 found = replace(found, solved=found.solved[missed_first])
                 environment = environment_of(order[:size])
         if found is None or not (setup.remembers and found.solved.all()):
-            new = best_of_searches(setup, step, environment, _starters(setup, seeds))
+            new = _searched(setup, step, environment, seeds, found is not None)
             kept = found is not None and setup.remembers and new.best <= found.best
             found = found if found is not None and kept else new
         well = bool(found.solved.all()) or found.best >= setup.budget.satisfied
@@ -102,16 +103,29 @@ def _held(setup: Setup[Any], found: Found, environment: Environment) -> Found:
     return _counted(setup, held)
 
 
-def _starters(setup: Setup[Any], seeds: Population | None) -> Population | None:
-    """The seeds of a search; where a rollout takes its time, mutants in place of more copies."""
-    half = setup.evolution.population // 2
-    if seeds is None or not setup.remembers or len(seeds) >= half:
-        return seeds if seeds is None or not setup.remembers else seeds[-half:]
-    nodes, actions = setup.evolution.capacity, setup.actions
-    copies = seeds[torch.arange(half - len(seeds)) % len(seeds)]
-    sizes = nodes, actions.outcome_capacity, actions.parameter_capacity
-    copies = Population(resized(compacted(copies.graphs), *sizes), copies.strategy)
-    return slim(join(seeds, mutate(copies, actions, setup.generator, setup.evolution.tau)))
+def _searched(
+    setup: Setup[Any], name: str, environment: Environment, seeds: Population | None, found: bool
+) -> Found:
+    """The best result of some evolutions from seeds; where rollouts take time, mixed otherwise.
+
+    There, seeds are earlier skills, which few new individuals are like, unless something was
+    `found` that solves a part: then its mutants are most of the population.
+    """
+    if not setup.remembers:
+        return best_of_searches(setup, name, environment, seeds)
+    evolution, actions = setup.evolution, setup.actions
+    half, about = evolution.population // 2, (actions, evolution.capacity, evolution.initial_nodes)
+    if found and seeds is not None:
+        sizes = evolution.capacity, actions.outcome_capacity, actions.parameter_capacity
+        copies = seeds[torch.arange(half - 1) % len(seeds)]
+        copies = Population(resized(compacted(copies.graphs), *sizes), copies.strategy)
+        more = mutate(copies, actions, setup.generator, evolution.tau)
+        setup = replace(setup, evolution=replace(evolution, newcomers=half // FEW_NEW))
+    else:
+        seeds = None if seeds is None else seeds[-half // 2 :]
+        more = random_population(half, *about, setup.generator)
+    mixed = more if seeds is None else join(seeds, more)[:half]
+    return best_of_searches(setup, name, environment, slim(mixed))
 
 
 def best_of_searches(

@@ -2,7 +2,8 @@
 
 A state consists of that of the physics and of the environment's own numbers that change within an
 episode. What changes only from start to start, such as the place of a goal or of a fixed body, is
-remembered for each start.
+remembered for each start. Some environments read positions that MuJoCo computed before the last
+step; where that matters, they belong to the state.
 """
 
 from collections.abc import Callable
@@ -16,16 +17,14 @@ from cgtorch.ground.errors import WorldError
 PROBES, STEPS = 3, 12
 """Starts in which it is found out what changes, and random steps in each."""
 MOST_STARTS = 4096  # that are remembered
+COMPUTED = ("xpos", "xquat", "site_xpos")
+"""What MuJoCo computes at the beginning of a step, and environments read after it."""
 
 Floats = NDArray[np.float64]
 
 
 class MujocoStates:
-    """The states of one environment, which has `model` and `data` of MuJoCo.
-
-    Attributes:
-        size: The length of a state.
-    """
+    """The states of one environment, which has `model` and `data` of MuJoCo."""
 
     def __init__(
         self, environment: Any, reset: Callable[[int], Any], act: Callable[[int], Any]
@@ -45,9 +44,22 @@ class MujocoStates:
         self._fixed: list[str] = []
         self._starts: dict[int, tuple[dict[str, Any], dict[str, Floats], Any, Floats]] = {}
         self._at: int | None = None
+        self._computed: tuple[str, ...] = ()
         self._probe(act)
-        self.size = self._physics + sum(int(np.prod(shape)) for shape in self._own.values())
-        self._check(act)
+        if not self._repeats(act):
+            self._computed = COMPUTED
+            if not self._repeats(act):
+                raise WorldError(
+                    f"{type(environment).__name__} does not repeat itself from a state that was "
+                    "set; it keeps something that is no number, so run it without set states"
+                )
+
+    @property
+    def size(self) -> int:
+        """The length of a state."""
+        own = sum(int(np.prod(shape)) for shape in self._own.values())
+        data = self._environment.data
+        return self._physics + own + sum(getattr(data, name).size for name in self._computed)
 
     def start(self, seed: int) -> tuple[Floats, Any]:
         """The state at the start with a seed, and what is observed there."""
@@ -73,6 +85,10 @@ class MujocoStates:
         for name, shape in self._own.items():
             begin, end = end, end + int(np.prod(shape))
             state[begin:end] = np.nan if own[name] is None else np.ravel(own[name])
+        for name in self._computed:
+            value = getattr(environment.data, name)
+            begin, end = end, end + value.size
+            state[begin:end] = value.ravel()
         return state
 
     def write(self, state: Floats, seed: int) -> None:
@@ -94,6 +110,10 @@ class MujocoStates:
         mj.mj_setState(environment.model, environment.data, physics, self._spec)
         mj.mj_forward(environment.model, environment.data)
         mj.mj_setState(environment.model, environment.data, physics, self._spec)
+        for name in self._computed:
+            value = getattr(environment.data, name)
+            begin, end = end, end + value.size
+            value[:] = state[begin:end].reshape(value.shape)
 
     def _probe(self, act: Callable[[int], Any]) -> None:
         """Find the numbers that change within an episode, and those that change between starts."""
@@ -115,8 +135,9 @@ class MujocoStates:
         self._fixed = sorted(set(self._fixed))
         self._at = None
 
-    def _check(self, act: Callable[[int], Any]) -> None:
-        """WorldError unless the second half of an episode can be repeated."""
+    def _repeats(self, act: Callable[[int], Any]) -> bool:
+        """Whether the second half of an episode is the same after another one began."""
+        self._starts.clear()
         self.start(0)
         self.write(self._starts[0][3], 0)
         for step in range(STEPS):
@@ -128,11 +149,7 @@ class MujocoStates:
         act(0)
         self.write(middle, 0)
         again = [_flat(act(STEPS + step)) for step in range(STEPS)]
-        if not all(map(np.array_equal, once, again)):
-            raise WorldError(
-                f"{type(self._environment).__name__} does not repeat itself from a state that was "
-                "set; it keeps something that is no number, so run it without set states"
-            )
+        return all(map(np.array_equal, once, again))
 
 
 def _arrays(model: Any) -> list[str]:
