@@ -26,8 +26,8 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
     All run on the first scenario, the better half of them on the second, the better half of these
     on two more, and so on. Who has solved everything so far stays, too, and the race ends where
     nobody solves anything. Where an individual has not run, it has not succeeded, and its score is
-    0, or `WORST` with rewards. With some of W (`keep`) there is no race. For the arguments see
-    `cgtorch.evolution.fitness.evaluator`.
+    0, or `WORST` with rewards. With some of W (`keep` (B,) bool) there is no race. For the
+    arguments see `cgtorch.evolution.fitness.evaluator`.
     """
     if keep.any() or len(keep) < 2:
         return evaluator(actions, environment, keep, **about)

@@ -49,6 +49,16 @@ class MujocoStates:
         self.size = self._physics + sum(int(np.prod(shape)) for shape in self._own.values())
         self._check(act)
 
+    @property
+    def model(self) -> Any:
+        """MuJoCo's model."""
+        return self._environment.model
+
+    @property
+    def data(self) -> Any:
+        """MuJoCo's data, which are the present state."""
+        return self._environment.data
+
     def start(self, seed: int) -> tuple[Floats, Any]:
         """The state at the start with a seed, and what is observed there."""
         if seed not in self._starts:
