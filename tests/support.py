@@ -112,6 +112,21 @@ def random_skill(seed: int, name: str, actions: ActionSet, max_transitions: int 
     return Skill(name, many[has_all.nonzero()[:1, 0]], actions, max_transitions)
 
 
+def circle(actions: ActionSet, *names: str) -> Skill:
+    """A skill that executes these actions in turns, whatever their outcomes, until one ends it."""
+    n = len(names)
+    action = torch.tensor([[actions.names.index(name) for name in names]])
+    edges = torch.full((1, n, actions.outcome_capacity), -1)
+    for slot, name in enumerate(names):
+        used = actions.actions[actions.names.index(name)].outcomes
+        for outcome, text in enumerate(used):
+            ends = text in actions.actions[actions.names.index(name)].terminal
+            edges[0, slot, outcome] = -1 if ends else (slot + 1) % n
+    parameters = torch.zeros(1, n, actions.parameter_capacity)
+    graph = Graphs(action, edges, parameters, torch.zeros(1, dtype=torch.long))
+    return Skill("circle", graph, actions, max_transitions=400)
+
+
 def custom_actions() -> ActionSet:
     """The paper's actions and one of our own."""
     return paper_actions().extended(["Counter"], [Counter()])

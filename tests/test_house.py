@@ -168,5 +168,5 @@ def test_a_domain_has_few_members() -> None:
 
 def test_a_folder_and_a_file_can_be_known() -> None:
     sources = [p for p in PACKAGE.rglob("*") if p.suffix in {".py", ".c", ".h", ".cu"}]
-    assert len({p.relative_to(PACKAGE).parts[0] for p in sources if p.parent != PACKAGE}) <= 14
+    assert len({p.relative_to(PACKAGE).parts[0] for p in sources if p.parent != PACKAGE}) <= 15
     assert [str(p) for p in sources if len(p.read_text().splitlines()) > 350] == []

@@ -14,8 +14,9 @@ from torch import Tensor
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # which MuJoCo reads when it is imported
 
+from cgtorch.domains.film import animated
 from cgtorch.runs.chosen import last_skill
-from cgtorch.tabletop.physics.film import animated, pictures_of
+from cgtorch.tabletop.physics.film import film_of
 from cgtorch.tabletop.viewer.execution import execute, scenario_of
 from cgtorch.tabletop.world import Scenarios
 
@@ -43,9 +44,11 @@ def command(run: Path, output: Path) -> None:
         if done.end == "success" and drives and edge not in chosen:
             chosen[edge] = scenario
     domain = opened.domain.in_world("mujoco")
-    films = [pictures_of(skill, domain, chosen[edge])[1] for edge in SHOWN if edge in chosen]
+    physics, world_in = domain.physics, domain.world_in
+    films = [film_of(skill, physics, world_in, chosen[edge]) for edge in SHOWN if edge in chosen]
     output.write_bytes(animated(films, output.suffix[1:]))
-    click.echo(f"{output}: {sum(map(len, films))} pictures, {output.stat().st_size} bytes")
+    pictures = sum(len(film.frames) for film in films)
+    click.echo(f"{output}: {pictures} pictures, {output.stat().st_size} bytes")
 
 
 def edge_of(place: Tensor, size: Tensor) -> str:

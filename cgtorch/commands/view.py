@@ -24,6 +24,7 @@ Examples:
   cgtorch-view runs/auto --skill auto-1 --scenarios general
   cgtorch-view runs/reference --world mujoco
   cgtorch-view runs/reference --film skill.webp
+  cgtorch-view runs/push --film push.gif --seed 3
 """
 
 
@@ -45,12 +46,13 @@ Examples:
     most=10_000,
 )
 @common.skill_option
+@common.domain_option
 @common.world_option
 @click.option(
     "--film",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write an animated picture (.gif or .webp) of the skill in physics on the first scenario "
-    "instead, and exit.",
+    help="Write an animated picture (.gif or .webp) of the skill on the first scenario instead, "
+    "and exit. Any domain that can draw has one; the tabletop has it in physics.",
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @common.number_option(
@@ -62,29 +64,27 @@ Examples:
 def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: Any) -> None:
     """Watch a skill at work in the browser, step by step, until Ctrl-C.
 
+    The browser shows skills of the tabletop. With --film, a skill of any domain that can draw is
+    shown in an animated picture.
+
     RUN_OR_SKILL is the folder of a run (its last skill is taken), the folder of a stage in it, or
     a skill file, which acts with the built-in PR2 and the default noise. The page shows the robot,
     the graph, the percept and the message. On the page you can choose another scenario, drag the
     object, and take any other skill of the run.
     """
-    film, other, quiet = rest["film"], rest["against"], rest["quiet"]
-    if film is not None and film.suffix not in (".gif", ".webp"):
-        raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
-    if film is None and find_spec("viser") is None:
+    other, quiet = rest["against"], rest["quiet"]
+    if rest["film"] is not None:
+        _film(rest["film"], path, scenarios, count, seed, rest)
+        return
+    if find_spec("viser") is None:
         raise SettingsError("cgtorch-view needs package 'viser'; pip install 'cgtorch[view]'")
-    if film is not None:
-        common.draw_without_display()
     with common.importing():
         import torch
 
     torch.set_num_threads(1)
-    world = rest["world"] if film is None else "mujoco"
-    about = rest["actions"], scenarios, world
+    about = rest["actions"], scenarios, rest["world"]
     with common.waiting(f"loading {path}", quiet):
         chosen, candidates = _offer(path, rest["name"], *about)
-    if film is not None:
-        _film(film, chosen, candidates[chosen.skill.name], count, seed, quiet)
-        return
     with common.importing():
         from cgtorch.tabletop.viewer.page import Wish, open_page, play_for_ever
         from cgtorch.tabletop.world import draw_of
@@ -105,19 +105,37 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
 
 
 def _film(
-    path: Path, chosen: "Chosen", candidate: "Candidate", count: int, seed: int, quiet: bool
+    film: Path, path: Path, kind: str | None, count: int, seed: int, rest: dict[str, Any]
 ) -> None:
-    """Write an animated picture of a skill, drawn by MuJoCo's renderer."""
-    from cgtorch.ground.files import write_bytes
-    from cgtorch.tabletop.physics.film import film_of
-    from cgtorch.tabletop.viewer.execution import scenario_of
+    """Write an animated picture of a skill."""
+    if film.suffix not in (".gif", ".webp"):
+        raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
+    common.draw_without_display()
+    with common.importing():
+        import torch
 
-    scenario = scenario_of(chosen.kind, count, seed, 0)
-    made = candidate.domain
-    with common.waiting(f"filming {chosen.skill.name}", quiet):
-        end, data = film_of(candidate.skill, made.physics, made.world_in, scenario, path.suffix[1:])
-    write_bytes(path, data)
-    click.echo(f"{chosen.skill.name} ends in {end}: {path}, {len(data)} bytes")
+        from cgtorch.domains.domain import Adaptable, in_world
+        from cgtorch.domains.film import WIDTH, animated
+        from cgtorch.ground.files import write_bytes
+        from cgtorch.runs.chosen import chosen_skill
+        from cgtorch.training.evaluate import drawn
+
+    torch.set_num_threads(1)
+    chosen = chosen_skill(path, rest["name"], rest["actions"], kind, rest["domain"])
+    skill, domain, world = chosen.skill, chosen.domain, rest["world"]
+    if world is not None or isinstance(domain, Adaptable):
+        domain = in_world(domain, world or "mujoco")  # where the tabletop is drawn
+    scenarios = drawn(skill, domain, chosen.kind, count, seed)[:1]
+    with common.waiting(f"filming {skill.name}", rest["quiet"]):
+        made = domain.pictures(domain).film(skill, scenarios, WIDTH)
+        data = animated([made], film.suffix[1:]) if made else b""
+    if made is None:
+        raise SettingsError(
+            f"{type(domain).__name__} draws nothing, so leave --film out; a domain draws in "
+            "Pictures.film, and an environment of Gymnasium if it has render mode 'rgb_array'"
+        )
+    write_bytes(film, data)
+    click.echo(f"{skill.name} ends in {made.end}: {film}, {len(data)} bytes")
 
 
 def _folder(path: Path, chosen: "Chosen") -> Path:
@@ -141,8 +159,8 @@ def _offer(
 
     if not path.is_file() and (spec := stored_domain(path)) not in (None, TABLETOP):
         raise SettingsError(
-            f"{str(path)!r} is about domain {spec!r}, and only the tabletop can be watched; see "
-            "cgtorch-report"
+            f"{str(path)!r} is about domain {spec!r}, and only the tabletop can be watched in the "
+            "browser; add --film skill.webp, or see cgtorch-report"
         )
     chosen = chosen_skill(path, name, actions, scenarios)
     domain, run, skills = chosen.domain, chosen.run, {}

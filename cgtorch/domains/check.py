@@ -12,7 +12,7 @@ from cgtorch.domains.live import OnRobot
 from cgtorch.domains.models import Models
 from cgtorch.domains.pictures import Pictures
 from cgtorch.domains.world import World
-from cgtorch.graphs import ActionSet
+from cgtorch.graphs import Action, ActionSet, Step
 from cgtorch.ground.dry_run import (
     ROWS,
     check_environment,
@@ -23,7 +23,7 @@ from cgtorch.ground.dry_run import (
     two_rows,
 )
 from cgtorch.ground.environment import Environment, Rewarded, ScenarioBatch, start_lanes
-from cgtorch.ground.errors import DomainError
+from cgtorch.ground.errors import ActionError, DomainError
 from cgtorch.ground.fields import Field
 
 
@@ -119,4 +119,18 @@ def _check_rewards(world: Any, who: str) -> None:
     if not floats or gained.shape != (ROWS,):
         raise DomainError(
             f"{who}'s world.returns returned {kind(gained)}; return a tensor ({ROWS},) of floats"
+        )
+
+
+def check_sizes(name: str, action: Action, percept: int, control: int) -> None:
+    """ActionError if an action is for percepts or controls of other lengths."""
+    reads = getattr(action, "percept_size", percept)
+    if reads != percept:
+        raise ActionError(
+            f"action {name!r} reads {reads} numbers, and a percept has {percept}; make it for these"
+        )
+    if type(action) is Step and action.message_size != control:  # others may send more
+        raise ActionError(
+            f"action {name!r} sends {action.message_size} numbers as a control, of which the "
+            f"domain has {control}; make it as Step({control})"
         )

@@ -9,7 +9,7 @@ or there are none, and the info of a step tells of success.
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,7 +19,9 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain, Specialists
 from cgtorch.domains.files import Files
+from cgtorch.domains.film import Film, end_of
 from cgtorch.domains.gymnasium_episodes import Episodes
+from cgtorch.domains.gymnasium_film import MODE
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_world import (
     GymnasiumWorld,
@@ -31,7 +33,7 @@ from cgtorch.domains.gymnasium_world import (
     VectorWorld,
 )
 from cgtorch.domains.pictures import Pictures
-from cgtorch.graphs import ActionSet, Test, reward_actions
+from cgtorch.graphs import ActionSet, Skill, Test, reward_actions
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import DomainError
 from cgtorch.ground.files import read_json, write_json
@@ -69,7 +71,7 @@ class Known:
 
 
 class EpisodePictures(Pictures["Gymnasium"]):
-    """Words for episodes."""
+    """Words for episodes, and films."""
 
     solved: ClassVar[tuple[str, str]] = ("solved", "Episodes solved")
 
@@ -89,6 +91,16 @@ class EpisodePictures(Pictures["Gymnasium"]):
         unasked = left_out and not self.domain.settings.percepts
         lacks = f"Percepts lack {', '.join(left_out)}, which has no fixed numbers."
         return [*([found] if found else []), *([lacks] if unasked else [])]
+
+    def film(self, skill: Skill, scenarios: Any, width: int) -> Film | None:
+        """See `Pictures.film`: what the environment itself draws."""
+        domain, settings = self.domain, self.domain.settings
+        if MODE not in domain.episodes.modes:
+            return None
+        keywords = {**settings.keywords, "render_mode": MODE}
+        drawing = type(domain)(replace(settings, env=keywords), domain.known)
+        filmed = drawing.episodes.film(width)
+        return filmed.reel.film(end_of(skill, drawing.world(scenarios[:1])))
 
 
 class KnownFiles(Files["Gymnasium"]):

@@ -15,6 +15,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from cgtorch.domains.gymnasium_film import Filmed
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of
 from cgtorch.domains.registry import NOT_FOUND, foreign
@@ -92,6 +93,17 @@ class Episodes:
         self.controls = controls_of(first.action_space, name)
         self.batch = 0
         self._starts: dict[int, tuple[Any, NDArray[Any]]] = {}
+
+    @property
+    def modes(self) -> Any:
+        """The ways in which the environment can be drawn."""
+        return next(iter(self._having.values())).metadata.get("render_modes") or ()
+
+    def film(self, width: int) -> Filmed:
+        """Have the first environment filmed, of which no other is then needed."""
+        filmed = Filmed(self._environment(0), width)
+        self._having = {0: filmed}
+        return filmed
 
     def __reduce__(self) -> tuple[type["Episodes"], tuple[GymnasiumSettings]]:
         """Environments are not pickled: another process makes its own."""

@@ -112,6 +112,9 @@ class _Unseen(Pictures[Any]):
     def scenarios(self, *about: Any, **more: Any) -> None:
         """See `Pictures.scenarios`: the places of things are unknown here."""
 
+    def film(self, *about: Any, **more: Any) -> None:
+        """See `Pictures.film`: a picture is no reason for a robot to move."""
+
 
 class OnRobot(Domain[Placements]):
     """A domain whose world is a robot; `on_robot` mixes it into the domain's class."""

@@ -9,6 +9,7 @@ from torch import Tensor
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from cgtorch.domains.film import Film
     from cgtorch.graphs import Skill
 
 D = TypeVar("D")
@@ -73,9 +74,9 @@ class Pictures(Generic[D]):
         """A small SVG drawing of a stage; "" if there is none."""
         return ""
 
-    def film(self, skill: "Skill", scenarios: Any) -> bytes | None:
-        """An animated WebP picture of a skill on the first scenario; None if there is none.
+    def film(self, skill: "Skill", scenarios: Any, width: int) -> "Film | None":
+        """Pictures of about that width (px) of a skill on the first scenario; None without any.
 
-        CgtorchError if it cannot be drawn on this machine.
+        CgtorchError if they cannot be drawn on this machine.
         """
         return None

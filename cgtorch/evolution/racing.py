@@ -27,8 +27,8 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
     on two more, and so on; where nobody has solved anything, only the best goes on. Who has solved
     everything so far stays, and so does the first individual, which is the best one of earlier
     generations. Where an individual has not run, it has not succeeded, and its score is 0, or
-    `WORST` with rewards. With some of W (`keep`) there is no race. For the arguments see
-    `cgtorch.evolution.fitness.evaluator`.
+    `WORST` with rewards. With some of W (`keep` (B,) bool) there is no race. For the
+    arguments see `cgtorch.evolution.fitness.evaluator`.
     """
     if keep.any() or len(keep) < 2:
         return evaluator(actions, environment, keep, **about)

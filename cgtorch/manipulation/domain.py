@@ -12,6 +12,7 @@ from cgtorch.domains.files import Files
 from cgtorch.graphs import ActionSet, BranchingNN
 from cgtorch.manipulation import fetch, metaworld
 from cgtorch.manipulation.arm import Arm, place_names
+from cgtorch.manipulation.film import ArmPictures
 from cgtorch.manipulation.primitives import Wait, primitives
 from cgtorch.manipulation.settings import WITH_ID, FetchSettings, ManipulationSettings
 from cgtorch.manipulation.simulator import Simulator
@@ -35,6 +36,7 @@ class Manipulation(Domain[Starts]):
 
     Attributes:
         tasks: The distinct tasks by name; scenarios have their numbers.
+        view: Azimuth and elevation in degrees, and distance in m, of films.
     """
 
     settings: ManipulationSettings
@@ -43,6 +45,8 @@ class Manipulation(Domain[Starts]):
     control = CONTROL
     specialists = Specialists(group=1, widest=32, team=64, stall=8)
     files = ManipulationFiles
+    pictures = ArmPictures
+    view: ClassVar[tuple[float, float, float]] = (135.0, -30.0, 1.5)
     package: ClassVar[str]
     seen: ClassVar[tuple[str, ...]]
     places: ClassVar[tuple[str, ...]]
@@ -103,6 +107,7 @@ class MetaWorld(Manipulation):
     )  # fmt: skip
     places = ("object", "other", "goal")
     centre = (0.0, 0.65, 0.1)
+    view = (155.0, -30.0, 1.4)
     make = metaworld.MetaWorldSimulator
     named = staticmethod(metaworld.tasks_of)
 

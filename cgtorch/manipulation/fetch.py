@@ -68,6 +68,10 @@ class FetchSimulator(Simulator):
         )
         return place
 
+    def show(self) -> None:
+        """See `Simulator.show`: the goal, whose place the next step computes again."""
+        self.environment.data.site("target0").xpos[:] = self.environment.goal
+
     def closeness(self, observation: Any) -> float:
         """See `Simulator.closeness`."""
         there, wanted = observation["achieved_goal"], observation["desired_goal"]

@@ -61,6 +61,16 @@ class MujocoStates:
         data = self._environment.data
         return self._physics + own + sum(getattr(data, name).size for name in self._computed)
 
+    @property
+    def model(self) -> Any:
+        """MuJoCo's model."""
+        return self._environment.model
+
+    @property
+    def data(self) -> Any:
+        """MuJoCo's data, which are the present state."""
+        return self._environment.data
+
     def start(self, seed: int) -> tuple[Floats, Any]:
         """The state at the start with a seed, and what is observed there."""
         if seed not in self._starts:

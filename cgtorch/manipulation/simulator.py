@@ -6,6 +6,7 @@ control is a segment: the hand moves to a target, at most for a number of low-le
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,8 @@ class Simulator(ABC):
         gain: The share of full speed per metre that is left.
         simulated: Low-level steps so far.
         requested: Low-level steps so far, those that were remembered included.
+        watch: Called after each low-level step while a film is made; nothing is then remembered or
+            counted.
     """
 
     seen: int
@@ -47,6 +50,7 @@ class Simulator(ABC):
         """Episodes of at most `horizon` low-level steps."""
         self.horizon = horizon
         self.simulated = self.requested = 0
+        self.watch: Callable[[], object] | None = None
         self._known: dict[tuple[int, bytes, bytes], Floats] = {}
 
     @property
@@ -74,6 +78,10 @@ class Simulator(ABC):
     def closeness(self, observation: Any) -> float:
         """How close an observation at a start is to success, in [0, 1]."""
 
+    def show(self) -> None:
+        """Put into the scene what only pictures show, such as a goal; nothing by default."""
+        return
+
     def start(self, seed: int) -> Floats:
         """The row of a start."""
         state, observation = self.states.start(seed)
@@ -88,6 +96,8 @@ class Simulator(ABC):
         """The row after a control; the same row if the episode is over."""
         if self.over(row):
             return row
+        if self.watch is not None:
+            return self._moved(row, seed, control)
         key = seed, row.tobytes(), control.tobytes()
         after = self._known.get(key)
         if after is None:
@@ -117,6 +127,8 @@ class Simulator(ABC):
                 arrived |= np.abs(places[-1] - places[-1 - PATIENCE]).max() < STILL
             last = done == limit or arrived
             found = self.move(np.array([*fast, control[GRIP]]), last) or found
+            if self.watch is not None:
+                self.watch()
             if found is not None:
                 now, solved = found[1:]
                 closest = now if self.at_the_end else max(closest, now)

@@ -110,8 +110,8 @@ class ArmWorld(World):
     def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
         """See `World.perceived`."""
         seen = state[:, SEEN : SEEN + len(self._arm.names) - 1 - len(self._ids)]
-        horizon = self._simulators[0].horizon
-        percept = self._arm.perceived(seen, state[:, STEPS] / horizon)
+        some = next(iter(self.scenarios.task.tolist()), 0)  # all have the same horizon
+        percept = self._arm.perceived(seen, state[:, STEPS] / self._simulators[some].horizon)
         if not self._ids:
             return percept
         number = torch.tensor([self._ids[int(t)] for t in self.scenarios.task[scenario]])

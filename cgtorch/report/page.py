@@ -11,6 +11,7 @@ from matplotlib import rc_context
 
 from cgtorch import __version__
 from cgtorch.domains.domain import rewarded
+from cgtorch.domains.film import animated
 from cgtorch.domains.registry import is_code
 from cgtorch.graphs import load_skill
 from cgtorch.ground.asked import NAMES as ASKED
@@ -30,6 +31,7 @@ from cgtorch.runs.storage import load_scenarios
 from cgtorch.runs.stored_run import AUTO, StoredRun, versions
 
 PACKAGE = "cgtorch.report"
+FILMED, MOST_FILMED = 240, 1_000_000  # px, and bytes, of the film
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,7 @@ def _context(contents: Contents) -> dict[str, Any]:
         "training": training_commands(run, contents.about, contents.log),
         "place": place_of(run.folder).as_posix(),
         "using": _using(contents),
+        "own_code": _own_code(contents),
         "time": as_time,
         "interval": _interval,
     }
@@ -128,9 +131,12 @@ def _film(contents: Contents) -> tuple[str, list[str]]:
         return "", []
     skill, scenarios = solved[-1].skill, solved[-1].solved
     try:
-        data = contents.run.pictures.film(skill, scenarios[len(scenarios) - 1 :])
+        film = contents.run.pictures.film(skill, scenarios[len(scenarios) - 1 :], FILMED)
+        data = animated([film], "webp") if film else b""
     except CgtorchError as e:
         return "", [f"There is no film of {skill.name}: {e}."]
+    if len(data) > MOST_FILMED:
+        return "", [f"The film of {skill.name} is too large for a page; cgtorch-view makes it."]
     return "data:image/webp;base64," + b64encode(data).decode() if data else "", []
 
 
@@ -222,16 +228,20 @@ def _text(value: object) -> str:
 
 def _using(contents: Contents) -> list[str]:
     """Commands that use the run."""
-    settings = contents.run.settings
-    name = shlex.quote(place_of(contents.run.folder).as_posix())
-    rest = [f" --domain {shlex.quote(settings.domain)}"] if is_code(settings.domain) else []
-    rest += [f" --actions {shlex.quote(a)}" for a in settings.actions if ":" in a]
+    name, rest = shlex.quote(place_of(contents.run.folder).as_posix()), _own_code(contents)
     commands = [
-        f"cgtorch-evaluate {name} --scenarios {contents.run.kind} --count 1000{''.join(rest)}",
-        f"cgtorch-export {name} --format state-machine --output skill.py{''.join(rest)}",
+        f"cgtorch-evaluate {name} --scenarios {contents.run.kind} --count 1000{rest}",
+        f"cgtorch-export {name} --format state-machine --output skill.py{rest}",
     ]
     return [
         *(commands if contents.stages else []),
         f"tensorboard --logdir {name}",
-        f"cgtorch-report {name} --output report.html{''.join(rest)}",
+        f"cgtorch-report {name} --output report.html{rest}",
     ]
+
+
+def _own_code(contents: Contents) -> str:
+    """The options that name code of the user's own."""
+    settings = contents.run.settings
+    rest = [f" --domain {shlex.quote(settings.domain)}"] if is_code(settings.domain) else []
+    return "".join([*rest, *(f" --actions {shlex.quote(a)}" for a in settings.actions if ":" in a)])

@@ -23,7 +23,7 @@ from typing import Any
 import torch
 
 from cgtorch import __version__, native
-from cgtorch.domains.check import check_domain
+from cgtorch.domains.check import check_domain, check_sizes
 from cgtorch.domains.domain import Adaptable, Domain, rewarded
 from cgtorch.domains.files import Files
 from cgtorch.domains.live import DriverDomain, Placements, on_robot
@@ -40,7 +40,7 @@ from cgtorch.domains.registry import (
     spec_of,
 )
 from cgtorch.domains.settings import from_plain, to_plain
-from cgtorch.graphs import Action, ActionSet, Step, check_action, resolve_actions
+from cgtorch.graphs import ActionSet, check_action, resolve_actions
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
@@ -293,7 +293,7 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
     if own and not driver:
         world = domain.world(domain.draw(kind, 2, torch.Generator().manual_seed(0)))
         for name, action in own.items():
-            _check_sizes(name, action, *sizes)
+            check_sizes(name, action, *sizes)
             check_action(name, action, world)
     run = StoredRun(folder, settings, domain, actions, repeats)
     if run.learns and rewarded(domain):
@@ -307,20 +307,6 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
 def _foreign(part: object) -> bool:
     """Whether the class of a domain or action is not the library's."""
     return not type(part).__module__.startswith("cgtorch.")
-
-
-def _check_sizes(name: str, action: Action, percept: int, control: int) -> None:
-    """ActionError if an action is for percepts or controls of other lengths."""
-    reads = getattr(action, "percept_size", percept)
-    if reads != percept:
-        raise ActionError(
-            f"action {name!r} reads {reads} numbers, and a percept has {percept}; make it for these"
-        )
-    if type(action) is Step and action.message_size != control:  # others may send more
-        raise ActionError(
-            f"action {name!r} sends {action.message_size} numbers as a control, of which the "
-            f"domain has {control}; make it as Step({control})"
-        )
 
 
 def refuse_others(run: StoredRun, given: Mapping[str, Any], how: str) -> None:

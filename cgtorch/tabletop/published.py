@@ -15,6 +15,7 @@ from cgtorch.tabletop.world import Scenarios, stage_scenarios
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from cgtorch.domains.film import Film
     from cgtorch.graphs import Skill
 
 
@@ -81,11 +82,11 @@ class TabletopPictures(Pictures[Any]):
         footprint = self.domain.robot.description.footprint
         return draw_placements(scenarios, succeeded, targets, footprint=footprint, title=title)
 
-    def film(self, skill: "Skill", scenarios: Scenarios) -> bytes | None:
+    def film(self, skill: "Skill", scenarios: Scenarios, width: int) -> "Film | None":
         """See `Pictures.film`: what MuJoCo's renderer sees of it in physics."""
         if self.domain.settings.world != "mujoco":
             return None
-        return film_of(skill, self.domain.physics, self.domain.world_in, scenarios, "webp")[1]
+        return film_of(skill, self.domain.physics, self.domain.world_in, scenarios[:1], width)
 
     def stage(self, name: str) -> str:
         """See `Pictures.stage`: the paper's drawing of an experiment."""

@@ -91,17 +91,26 @@ def evaluate_skill(
     `done` is called with the number of further scenarios tried. SettingsError if the kind is
     unknown, the count is negative, or the skill reads other percepts.
     """
+    scenarios = drawn(skill, domain, kind, count, seed)
+    scores = []
+    for begin in range(0, max(1, count), PART):
+        scores.append(try_on(skill, domain, scenarios[begin : begin + PART]))
+        done(scores[-1].tried)
+    return joined(scores)
+
+
+def drawn(skill: Skill, domain: Domain[Any], kind: str, count: int, seed: int) -> Any:
+    """`count` fresh scenarios of a kind for a skill, drawn with their noise from a seed.
+
+    For errors see `evaluate_skill`.
+    """
     if kind not in domain.kinds:
         raise SettingsError(f"unknown scenarios {kind!r}; use one of {', '.join(domain.kinds)}")
     if count < 0:
         raise SettingsError(f"count is {count}; give 0 or more scenarios")
     scenarios = domain.draw(kind, count, Generator().manual_seed(seed))
     check_percepts(skill, domain.world(scenarios[:1]).percept_size, kind)
-    scores = []
-    for begin in range(0, max(1, count), PART):
-        scores.append(try_on(skill, domain, scenarios[begin : begin + PART]))
-        done(scores[-1].tried)
-    return joined(scores)
+    return scenarios
 
 
 def robust_successes(

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -115,3 +116,15 @@ def in_a_shell(
         check=False,
     )
     return Ended(ended.returncode, ended.stdout, ended.stderr)
+
+
+@lru_cache
+def can_draw() -> bool:
+    """Whether MuJoCo can draw on this machine, asked of MuJoCo alone."""
+    code = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 9, 9)"
+    return any(
+        not subprocess.run(
+            [sys.executable, "-c", code], env={**os.environ, "MUJOCO_GL": by}, capture_output=True
+        ).returncode
+        for by in ("egl", "osmesa")
+    )

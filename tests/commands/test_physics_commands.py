@@ -1,14 +1,10 @@
 """A kinematic run's skill is tried in physics, and filmed."""
 
-import os
 import shutil
-import subprocess
-import sys
-from functools import lru_cache
 from pathlib import Path
 
 import pytest
-from command_line import EVALUATE, REFERENCE, Shell, about, edited, in_a_shell
+from command_line import EVALUATE, REFERENCE, Shell, about, can_draw, edited, in_a_shell
 from report_pages import thinned
 
 from cgtorch.tabletop.kinematics import robots_folder
@@ -34,18 +30,6 @@ def test_a_kinematic_skill_in_physics(shell: Shell, run: Path) -> None:
     for unknown in ([EVALUATE, run], ["cgtorch-train"]):
         message = shell.refuses(*unknown, "--world", "moon")
         assert "world is 'moon'; use one of kinematic, mujoco" in message
-
-
-@lru_cache
-def can_draw() -> bool:
-    """Whether MuJoCo can draw on this machine, asked of MuJoCo alone."""
-    code = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 9, 9)"
-    return any(
-        not subprocess.run(
-            [sys.executable, "-c", code], env={**os.environ, "MUJOCO_GL": by}, capture_output=True
-        ).returncode
-        for by in ("egl", "osmesa")
-    )
 
 
 def test_an_animated_picture_of_a_skill(run: Path, tmp_path: Path) -> None:

@@ -6,7 +6,9 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-GOAL, ZOO, TALK, MUTE = (f"tiny_worlds:Tiny/{name}-v0" for name in ("Goal", "Zoo", "Talk", "Mute"))
+GOAL, ZOO, TALK, MUTE, DRAWN = (
+    f"tiny_worlds:Tiny/{name}-v0" for name in ("Goal", "Zoo", "Talk", "Mute", "Drawn")
+)
 
 
 class Goal(gymnasium.Env[Any, Any]):
@@ -77,6 +79,28 @@ class Mute(Goal):
         self.observation_space = spaces.Text(5)  # type: ignore[assignment]
 
 
+class Drawn(Goal):
+    """One that draws pictures, all of whose pixels tell its steps; or something else."""
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012
+
+    def __init__(self, render_mode: str | None = None, drawn: Any = None) -> None:
+        super().__init__()
+        self.render_mode, self.drawn, self.steps = render_mode, drawn, 0
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        self.steps = 0
+        return super().reset(seed=seed)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.steps += 1
+        return super().step(action)
+
+    def render(self) -> Any:
+        picture = np.full((60, 1000, 3), self.steps, np.uint8)
+        return picture if self.drawn is None else self.drawn
+
+
 def slower(environment: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
     """A wrapper: half of each action."""
     halved = gymnasium.wrappers.TransformAction(
@@ -102,5 +126,5 @@ def breaking(environment: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
 
 NOTHING = 3
 
-for made in (Goal, Zoo, Talk, Mute):
+for made in (Goal, Zoo, Talk, Mute, Drawn):
     gymnasium.register(f"Tiny/{made.__name__}-v0", made, max_episode_steps=12)

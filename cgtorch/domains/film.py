@@ -1,0 +1,122 @@
+"""Films of a skill at work: pictures are collected, and written as one animated picture."""
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from cgtorch.graphs import Skill
+from cgtorch.ground.environment import Environment
+from cgtorch.ground.errors import SettingsError
+from cgtorch.simulation import rollout
+
+WIDTH = 480  # px
+END = 1200  # ms that the last picture is shown
+MOST = 100  # pictures of a film; at twice as many, every second one is left out
+QUALITY = 60  # of a WebP, of 100
+
+Picture: TypeAlias = NDArray[np.uint8]
+"""Red, green and blue of pixels, (H, W, 3)."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """A film of an episode.
+
+    Attributes:
+        frames: Its pictures, of one size.
+        lasts: ms that each is shown.
+        end: How the skill ended: success, failure or timeout.
+    """
+
+    frames: Sequence[Picture]
+    lasts: int
+    end: str
+
+
+class Reel:
+    """Collects the pictures of one episode, with fewer pictures per second if it is long."""
+
+    def __init__(self, draw: Callable[[], Picture], every: float, slow: float = 1.0) -> None:
+        """A picture every so many seconds of an episode, which is shown so many times as slowly."""
+        self._draw, self._first, self._slow = draw, every, slow
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin with another episode."""
+        self._frames, self._every, self._last = list[Picture](), self._first, -1
+
+    def take(self, now: float) -> None:
+        """Take a picture if one is due at this time of the episode, s."""
+        number = int(now / self._every + 1e-6)
+        if number == self._last:
+            return
+        self._last = number
+        self._frames.append(self._draw())
+        if len(self._frames) >= 2 * MOST:
+            self._frames, self._every, self._last = self._frames[::2], 2 * self._every, number // 2
+
+    def film(self, end: str) -> Film:
+        """The film of the episode, with a last picture of how it is now."""
+        return Film([*self._frames, self._draw()], round(1000 * self._slow * self._every), end)
+
+
+def end_of(skill: Skill, world: Environment) -> str:
+    """How a skill ends in a world of one scenario: success, failure or timeout."""
+    with torch.no_grad():
+        runs = rollout(skill.graph, skill.actions, world, max_transitions=skill.max_transitions)
+    return "success" if runs.succeeded else "timeout" if runs.timed_out else "failure"
+
+
+def renderer(model: Any, width: int) -> Any:
+    """A renderer of pictures of a MuJoCo model, which has to be closed.
+
+    SettingsError if this machine cannot draw.
+    """
+    import mujoco
+
+    try:
+        return mujoco.Renderer(model, width * 3 // 4, width)
+    except Exception as e:  # whatever a graphics library raises
+        raise SettingsError(
+            f"MuJoCo cannot draw here ({type(e).__name__}); install libegl1 or libosmesa6, and "
+            "outside of commands set MUJOCO_GL to egl or osmesa before MuJoCo is imported"
+        ) from e
+
+
+def pillow() -> Any:
+    """Pillow's module of images; SettingsError if it is missing."""
+    try:
+        from PIL import Image
+    except ImportError as e:
+        raise SettingsError("a film needs package pillow; pip install pillow") from e
+    return Image
+
+
+def shrunk(picture: Picture, width: int) -> Picture:
+    """A picture of at most that width."""
+    if picture.shape[1] <= width:
+        return picture
+    size = width, max(1, picture.shape[0] * width // picture.shape[1])
+    return np.asarray(pillow().fromarray(picture).resize(size))
+
+
+def animated(films: Sequence[Film], kind: str) -> bytes:
+    """Films one after the other, each with its last picture shown longer, as a gif or webp.
+
+    SettingsError if Pillow is missing.
+    """
+    image = pillow()
+    pictures = [image.fromarray(picture) for film in films for picture in film.frames]
+    lasts = [time for f in films for time in (*[f.lasts] * (len(f.frames) - 1), END)]
+    how: dict[str, Any] = {"quality": QUALITY, "method": 4}
+    if kind == "gif":
+        how = {"optimize": True}
+        pictures = [p.quantize(96, dither=image.Dither.NONE) for p in pictures]
+    out, (first, *more) = io.BytesIO(), pictures
+    first.save(out, kind.upper(), save_all=True, append_images=more, duration=lasts, loop=0, **how)
+    return out.getvalue()

@@ -1,0 +1,102 @@
+"""Films: how pictures are collected and written, and what Gymnasium environments draw."""
+
+import io
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from support import circle, seeded
+
+from cgtorch.domains.film import MOST, Film, Reel, animated, shrunk
+from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.domains.registry import make_domain
+from cgtorch.ground.errors import DomainError, SettingsError
+
+Image = pytest.importorskip("PIL.Image")
+
+
+def picture(value: int, width: int = 8) -> Any:
+    return np.full((6, width, 3), value, np.uint8)
+
+
+def test_a_reel_takes_pictures_at_their_times() -> None:
+    now = [0]
+    reel = Reel(lambda: picture(now[0]), every=0.1, slow=2.0)
+    for now[0] in range(10):  # steps of 0.05 s
+        reel.take(now[0] * 0.05)
+    film = reel.film("success")
+    assert [int(frame[0, 0, 0]) for frame in film.frames] == [0, 2, 4, 6, 8, 9]
+    assert film.lasts == 200
+    reel.begin()
+    reel.take(0.0)
+    assert len(reel.film("failure").frames) == 2
+
+
+def test_a_long_film_has_fewer_pictures_which_last_longer() -> None:
+    drawn = list[int]()
+    reel = Reel(lambda: picture(len(drawn) % 250), every=0.1)
+    for step in range(20 * MOST):
+        drawn.append(step)
+        reel.take(step * 0.1)
+    film = reel.film("timeout")
+    assert MOST <= len(film.frames) <= 2 * MOST
+    assert film.lasts == 1600
+    assert film.lasts * len(film.frames) == pytest.approx(200 * MOST * 10, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["gif", "webp"])
+def test_films_are_written_one_after_the_other(kind: str) -> None:
+    one, other = ([picture(value + k) for k in range(0, 90, 30)] for value in (0, 100))
+    data = animated([Film(one, 80, "success"), Film(other, 40, "failure")], kind)
+    read = Image.open(io.BytesIO(data))
+    assert read.format == kind.upper()
+    assert read.n_frames == 6
+    read.seek(4)
+    assert abs(int(np.asarray(read.convert("RGB")).mean()) - 130) < 12
+
+
+def test_wide_pictures_are_shrunk() -> None:
+    assert shrunk(picture(3, 80), 20).shape == (1, 20, 3)
+    assert shrunk(picture(3, 80), 200).shape == (6, 80, 3)
+
+
+def test_without_pillow_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(SettingsError, match="pip install pillow"):
+        animated([Film([picture(0)], 80, "success")], "webp")
+
+
+def filmed(domain: Gymnasium, width: int) -> Any:
+    """The film of a skill that does the same in each step."""
+    skill = circle(domain.actions(), "Linear", "Step")
+    return domain.pictures(domain).film(skill, domain.draw("starts", 1, seeded(0)), width)
+
+
+def made(name: str, **settings: Any) -> Gymnasium:
+    domain = make_domain(f"gymnasium:{name}", GymnasiumSettings(target_return=-1.0, **settings))
+    assert isinstance(domain, Gymnasium)
+    return domain
+
+
+def test_what_a_gymnasium_environment_draws() -> None:
+    pytest.importorskip("gymnasium")
+    from tiny_worlds import DRAWN, GOAL
+
+    film = filmed(made(DRAWN), 500)
+    assert film.frames[0].shape == (30, 500, 3)
+    assert [int(frame.mean()) for frame in film.frames] == [*range(13), 12]
+    assert film.lasts == 100
+    assert filmed(made(GOAL), 500) is None
+    with pytest.raises(DomainError, match=r"drew 'a cat'; in render_mode 'rgb_array', return an"):
+        filmed(made(DRAWN, env={"drawn": "a cat"}), 500)
+
+
+def test_the_pole_is_filmed() -> None:
+    pytest.importorskip("pygame")
+    film = filmed(made("CartPole-v1"), 240)
+    assert film.frames[0].shape == (160, 240, 3)
+    assert 3 < len(film.frames) < MOST * 2
+    assert film.frames[0].std() > 5
+    assert not np.array_equal(film.frames[0], film.frames[-1])
