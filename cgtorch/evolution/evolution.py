@@ -72,7 +72,7 @@ def initial_state(
     if seeds is None:
         population = _random(settings, actions, generator, settings.population)
     else:
-        sizes = settings.capacity, settings.initial_nodes, generator
+        sizes = settings.capacity, settings.initial_nodes, generator, settings.strategy
         population = slim(seeded_population(settings.population, seeds, actions, *sizes))
     return EvolutionState(population, 0, population[:1], float("-inf"), generator=generator)
 
@@ -175,7 +175,7 @@ def _random(
 ) -> Population:
     sizes = settings.capacity, settings.initial_nodes, generator
     graphs = settings.first_graphs(count, actions, *sizes)
-    return slim(Population(graphs, initial_strategy(len(graphs))))
+    return slim(Population(graphs, initial_strategy(len(graphs), settings.strategy)))
 
 
 def _children(

@@ -1,7 +1,7 @@
 """Populations: graphs with self-adapted strategies, random graphs, and checks of tensors."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TypeAlias
@@ -92,9 +92,9 @@ def slim(population: Population) -> Population:
     return Population(trimmed(population.graphs), population.strategy)
 
 
-def initial_strategy(size: int) -> Tensor:
+def initial_strategy(size: int, first: Sequence[float] = INITIAL_STRATEGY) -> Tensor:
     """(size, S) the initial strategy parameters."""
-    return torch.tensor(INITIAL_STRATEGY).repeat(size, 1)
+    return torch.tensor(first).repeat(size, 1)
 
 
 def factors(keys: Tensor, tau: float) -> Tensor:
@@ -135,10 +135,11 @@ def random_population(
     capacity: int,
     initial_nodes: tuple[int, int],
     generator: Generator,
+    strategy: Sequence[float] = INITIAL_STRATEGY,
 ) -> Population:
     """Valid random graphs; the number of nodes before pruning is uniform within `initial_nodes`."""
     graphs = random_graphs(size, actions, capacity, initial_nodes, generator)
-    return Population(widened(graphs, capacity), initial_strategy(size))
+    return Population(widened(graphs, capacity), initial_strategy(size, strategy))
 
 
 def random_graphs(
@@ -211,13 +212,15 @@ def seeded_population(
     capacity: int,
     initial_nodes: tuple[int, int],
     generator: Generator,
+    strategy: Sequence[float] = INITIAL_STRATEGY,
 ) -> Population:
     """Half copies of the seeds in turn, half random (section IV-B).
 
     GraphError if a seed has more nodes than `capacity`.
     """
     half = size // 2
-    fresh = random_population(size - half, actions, capacity, initial_nodes, generator)
+    about = actions, capacity, initial_nodes, generator, strategy
+    fresh = random_population(size - half, *about)
     shape = (capacity, actions.outcome_capacity, actions.parameter_capacity)
     copies = seeds[torch.arange(half) % len(seeds)]
     return join(Population(resized(compacted(copies.graphs), *shape), copies.strategy), fresh)

@@ -14,11 +14,14 @@ from cgtorch.evolution.fitness import (
 )
 from cgtorch.evolution.operators import crossover, mutate
 from cgtorch.evolution.population import (
+    INITIAL_STRATEGY,
+    STRATEGY,
     TAU,
     Crossover,
     FirstGraphs,
     Mutation,
     Population,
+    bounds,
     check_offspring,
     initial_strategy,
     random_graphs,
@@ -57,6 +60,7 @@ class EvolutionSettings:
         initial_nodes: The fewest and most nodes of a first graph, before pruning.
         first_graphs: Draws random graphs, `random_graphs` or `varied_graphs`. With seeds, the
             random half of a first population is always drawn by `random_graphs`.
+        strategy: The strategy parameters (`STRATEGY`) of random graphs.
         tau: The variance of the drift of strategy parameters (eq. 2).
         islands: Number of populations that evolve separately; see `cgtorch.evolution.search`.
         migration: Number of generations between two migrations.
@@ -76,6 +80,7 @@ class EvolutionSettings:
     capacity: int = 24
     initial_nodes: tuple[int, int] = (4, 12)
     first_graphs: FirstGraphs = random_graphs
+    strategy: tuple[float, ...] = INITIAL_STRATEGY
     tau: float = TAU
     islands: int = 1
     migration: int = 5
@@ -94,6 +99,14 @@ class EvolutionSettings:
         if not 1 <= low <= high <= self.capacity:
             raise SettingsError(
                 f"initial nodes are {low} to {high}; give a range within 1 to {self.capacity}"
+            )
+        least, most = bounds()
+        given = torch.tensor(self.strategy)
+        if given.shape != least.shape or not ((given >= least) & (given <= most)).all():
+            low, high, last = float(least[0]), float(most[0]), float(most[-1])
+            raise SettingsError(
+                f"strategy is {self.strategy}; give {len(STRATEGY)} numbers from {low:g} to "
+                f"{high:g}, the last up to {last:g}"
             )
         for name in ("islands", "migration"):
             if getattr(self, name) < 1:

@@ -114,16 +114,17 @@ def _searched(
     if not setup.remembers:
         return best_of_searches(setup, name, environment, seeds)
     evolution, actions = setup.evolution, setup.actions
-    half, about = evolution.population // 2, (actions, evolution.capacity, evolution.initial_nodes)
+    half, sizes = evolution.population // 2, (evolution.capacity, evolution.initial_nodes)
     if found and seeds is not None:
-        sizes = evolution.capacity, actions.outcome_capacity, actions.parameter_capacity
+        shape = evolution.capacity, actions.outcome_capacity, actions.parameter_capacity
         copies = seeds[torch.arange(half - 1) % len(seeds)]
-        copies = Population(resized(compacted(copies.graphs), *sizes), copies.strategy)
+        copies = Population(resized(compacted(copies.graphs), *shape), copies.strategy)
         more = mutate(copies, actions, setup.generator, evolution.tau)
         setup = replace(setup, evolution=replace(evolution, newcomers=half // FEW_NEW))
     else:
         seeds = None if seeds is None else seeds[-half // 2 :]
-        more = random_population(half, *about, setup.generator)
+        about = actions, *sizes, setup.generator, evolution.strategy
+        more = random_population(half, *about)
     mixed = more if seeds is None else join(seeds, more)[:half]
     return best_of_searches(setup, name, environment, slim(mixed))
 

@@ -44,6 +44,8 @@ IN_A_ROW, LIVE_IN_A_ROW = 150, 20
 """The default number of fresh scenarios to solve in a row, in a world that can be put back into any
 scenario, and in one where each trial takes its time. A stage there asks for half as many, since
 other stages follow."""
+STRUCTURAL = (0.5, 0.3, 0.15, 0.1, 0.3, 0.3, 0.2, 0.5)
+"""The first strategy there: nodes are added and replaced three times as often as elsewhere."""
 NEW, SMALL, ROUNDS = 2, (3, 8), 3
 """Where low-level steps are counted: one individual in so many is new in each generation, the
 fewest and most nodes of first graphs, and rounds of tournaments, since lexicase selection on one
@@ -177,7 +179,7 @@ def evolution_settings(run: StoredRun) -> EvolutionSettings:
     if counting(run.domain):
         new = s.population // NEW
         few = replace(common, evaluate=race, newcomers=new, initial_nodes=SMALL)
-        return replace(few, selection=tournament(ROUNDS))
+        return replace(few, selection=tournament(ROUNDS), strategy=STRUCTURAL)
     if not graded or s.method == "paper" or s.islands > 1:
         return common
     return replace(
