@@ -103,10 +103,10 @@ class EvolutionSettings:
         least, most = bounds()
         given = torch.tensor(self.strategy)
         if given.shape != least.shape or not ((given >= least) & (given <= most)).all():
-            low, high, last = float(least[0]), float(most[0]), float(most[-1])
+            limits = float(least[0]), float(most[0]), float(most[-1])
             raise SettingsError(
-                f"strategy is {self.strategy}; give {len(STRATEGY)} numbers from {low:g} to "
-                f"{high:g}, the last up to {last:g}"
+                f"strategy is {self.strategy}; give {len(STRATEGY)} numbers from {limits[0]:g} to "
+                f"{limits[1]:g}, the last up to {limits[2]:g}"
             )
         for name in ("islands", "migration"):
             if getattr(self, name) < 1:
