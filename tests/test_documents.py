@@ -51,7 +51,7 @@ def commands() -> list[tuple[str, list[str]]]:
     lines = (
         line.strip()
         for document in DOCUMENTS
-        for line in document.read_text().splitlines()
+        for line in document.read_text().replace("\\\n", "").splitlines()
         if line.startswith("    cgtorch-")
     )
     words = [shlex.split(line.partition(" && ")[0], comments=True) for line in lines]

@@ -58,6 +58,7 @@ def test_runs_are_stopped_continued_and_compared(left: dict[str, Any]) -> None:
     assert left["search"].generation == 6
     assert left["search"].best_fitness > 0
     assert left["pole"].evaluate(20).mean_return > 50
+    assert left["arm"].evaluate(20).successes > 15
 
 
 def test_files_are_written(left: dict[str, Any]) -> None:

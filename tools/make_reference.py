@@ -24,6 +24,7 @@ from make_figures import pages, rewrite
 
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.settings import MOST
+from cgtorch.manipulation.settings import ManipulationSettings
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.tabletop.settings import TabletopSettings
 
@@ -35,6 +36,7 @@ NAMED = re.compile(r"\]\[(cgtorch[\w.]*)\]|\[`(cgtorch[\w.]*)`\]\[\]")
 OTHER_DEFAULTS = {
     "tabletop": TabletopSettings.run_defaults,
     "Gymnasium": GymnasiumSettings.run_defaults,
+    "arms": ManipulationSettings.run_defaults,
 }
 """Defaults of settings of a run where they are others than usual, by domain."""
 
@@ -93,6 +95,7 @@ def settings_tables() -> str:
         "The target of --stage auto": Goal,
         "The tabletop": TabletopSettings,
         "Gymnasium environments": GymnasiumSettings,
+        "Arms": ManipulationSettings,
     }
     return "\n\n".join(f"## {title}\n\n{_settings(kind)}" for title, kind in groups.items())
 

@@ -12,16 +12,17 @@ is not made again. The table is FOLDER/table.md.
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import click
 import numpy as np
 import torch
 from options.seeds import seeds_option
+from torch import Tensor
 
 from cgtorch.graphs import Skill
 from cgtorch.ground.files import read_json, write_bytes, write_json
@@ -37,6 +38,9 @@ from cgtorch.simulation import rollout
 
 GOALS, MT1_SEED = 50, 12345
 FETCH_STARTS, FETCH_SEED = 100, 50_000_000
+
+Play: TypeAlias = Callable[[ArmWorld], Tensor]
+"""Maps a world with one start to the last state (S,) of its episode."""
 
 
 class Played:
@@ -121,8 +125,22 @@ class Official:
 
 def official(skill: Skill, domain: Manipulation, task: str, count: int) -> Official:
     """The result of a skill on `count` official starts of a task."""
-    is_fetch = isinstance(domain, Fetch)
-    make = OfficialFetch if is_fetch else OfficialMetaWorld
+    return official_of(player_of(skill), domain, task, count)
+
+
+def player_of(skill: Skill) -> Play:
+    """What plays a skill."""
+
+    def play(world: ArmWorld) -> Tensor:
+        limit = skill.max_transitions
+        return rollout(skill.graph, skill.actions, world, max_transitions=limit).state[0, 0]
+
+    return play
+
+
+def official_of(play: Play, domain: Manipulation, task: str, count: int) -> Official:
+    """The result of whatever plays on `count` official starts of a task."""
+    make = OfficialFetch if isinstance(domain, Fetch) else OfficialMetaWorld
     number, solved, steps = domain.tasks.index(task), 0, 0.0
     simulators = Simulators(
         lambda name: make(name, domain.settings.horizon), [task] * len(domain.tasks)
@@ -130,9 +148,7 @@ def official(skill: Skill, domain: Manipulation, task: str, count: int) -> Offic
     for start in range(count):
         starts = Starts(torch.tensor([number]), torch.tensor([start]))
         size = simulators[number].size
-        world = ArmWorld(starts, simulators, domain.arm, size, domain.ids)
-        runs = rollout(skill.graph, skill.actions, world, max_transitions=skill.max_transitions)
-        state = runs.state[0, 0]
+        state = play(ArmWorld(starts, simulators, domain.arm, size, domain.ids))
         solved += bool(state[SOLVED] > 0)
         steps += float(state[STEPS])
     return Official(solved, count, steps / count)

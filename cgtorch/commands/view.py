@@ -131,8 +131,9 @@ def _film(
         data = animated([made], film.suffix[1:]) if made else b""
     if made is None:
         raise SettingsError(
-            f"{type(domain).__name__} draws nothing, so leave --film out; a domain draws in "
-            "Pictures.film, and an environment of Gymnasium if it has render mode 'rgb_array'"
+            f"{type(domain).__name__} draws nothing in this world, so leave --film out; a domain "
+            "draws in Pictures.film, an environment of Gymnasium if it has render mode "
+            "'rgb_array', and the tabletop in physics (--world mujoco)"
         )
     write_bytes(film, data)
     click.echo(f"{skill.name} ends in {made.end}: {film}, {len(data)} bytes")

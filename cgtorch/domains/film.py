@@ -1,6 +1,7 @@
 """Films of a skill at work: pictures are collected, and written as one animated picture."""
 
 import io
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -79,8 +80,13 @@ def renderer(model: Any, width: int) -> Any:
     """
     import mujoco
 
+    # Without these, one that could not be made complains when it is deleted.
+    closed = {"_gl_context": None, "_mjr_context": None}
+    kind = type("Renderer", (mujoco.Renderer,), closed)
     try:
-        return mujoco.Renderer(model, width * 3 // 4, width)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of GLFW, before it raises
+            return kind(model, width * 3 // 4, width)
     except Exception as e:  # whatever a graphics library raises
         raise SettingsError(
             f"MuJoCo cannot draw here ({type(e).__name__}); install libegl1 or libosmesa6, and "

@@ -140,13 +140,18 @@ def _film(contents: Contents) -> tuple[str, list[str]]:
     return "data:image/webp;base64," + b64encode(data).decode() if data else "", []
 
 
-def _asked_by_phase(contents: Contents) -> list[tuple[str, int, int, int, int]]:
-    """World actions: phase, motions, tests, looks and episodes, and their sums."""
+def _asked_by_phase(contents: Contents) -> list[tuple[Any, ...]]:
+    """What was asked: phase, motions, tests, looks and episodes, and their sums.
+
+    In worlds of low-level steps, also those requested, and those that were simulated.
+    """
     if not contents.stages:
         return []
     spent = contents.stages[-1].result["asked"]
     rows = [(phase, *(asked[name] for name in ASKED)) for phase, asked in spent.items()]
-    return [*rows, ("all", *(sum(row[i] for row in rows) for i in range(1, 1 + len(ASKED))))]
+    sums = ("all", *(sum(row[i] for row in rows) for i in range(1, 1 + len(ASKED))))
+    columns = len(sums) if sums[-1] else len(sums) - 2
+    return [row[:columns] for row in (*rows, sums)]
 
 
 def _missing(contents: Contents) -> list[str]:

@@ -51,5 +51,5 @@ def test_what_draws_nothing_is_refused(shell: Shell, tmp_path: Path) -> None:
     path = tmp_path / "cart.json"
     save_skill(path, circle(make_domain(CART).actions(), "Test"))
     words = VIEW, path, "--domain", CART, "--film", tmp_path / "cart.gif"
-    assert "Cart draws nothing, so leave --film out" in shell.refuses(*words)
+    assert "Cart draws nothing in this world, so leave --film out" in shell.refuses(*words)
     assert "scenarios is 'moon'; use one of any" in shell.refuses(*words, "--scenarios", "moon")

@@ -113,6 +113,11 @@ def test_a_skill_is_trained_counted_and_tried(tmp_path: Path) -> None:
     assert 0 < total < 60_000
     assert sum(a["steps"] for a in run.results[-1]["asked"].values()) == total
     again = open_run(run.folder)
+    again.report(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "of them simulated" in page
+    assert f">{total}<" in page
+    assert ("data:image/webp" in page) != ("There is no film of 01-reach-v3" in page)
     assert again.evaluate(scenarios="reach-v3", count=10).successes >= 8
     row = rollout(
         run.skill.graph, run.skill.actions, run.domain.world(starts(run.domain, 3)),

@@ -15,10 +15,11 @@ from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training.auto import act
 
+NO_STEPS = {"steps": 0, "simulated": 0}
 ASKED = {
-    "exploration": {"motions": 20, "tests": 15, "looks": 4, "episodes": 0},
-    "looks": {"motions": 0, "tests": 0, "looks": 64, "episodes": 0},
-    "practice": {"motions": 9, "tests": 8, "looks": 7, "episodes": 7},
+    "exploration": {"motions": 20, "tests": 15, "looks": 4, "episodes": 0} | NO_STEPS,
+    "looks": {"motions": 0, "tests": 0, "looks": 64, "episodes": 0} | NO_STEPS,
+    "practice": {"motions": 9, "tests": 8, "looks": 7, "episodes": 7} | NO_STEPS,
 }
 
 
@@ -99,7 +100,7 @@ def test_what_was_asked_is_a_table(tmp_path: Path, tested: bool) -> None:
     (table,) = [e for e in page.iter("table") if "asked of the world" in words(e.find("caption"))]
     head, *rows = [[words(cell) for cell in row.iter("th", "td")] for row in table.iter("tr")]
     assert head == ["phase", "motions", "tests", "scenes looked at", "episodes"]
-    counts = [[phase, *map(str, asked.values())] for phase, asked in ASKED.items()]
+    counts = [[phase, *map(str, [*asked.values()][:4])] for phase, asked in ASKED.items()]
     assert rows == [*counts, ["all", "29", "23", "75", "7"]]
 
 
