@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 from typing import Any, TypeAlias
 
 import click
@@ -37,6 +38,8 @@ from cgtorch.runs.stored_run import StoredRun
 from cgtorch.simulation import rollout
 
 GOALS, MT1_SEED = 50, 12345
+ONE_BY_ONE = Lock()
+"""Goals are drawn by numpy's global generator, which threads share."""
 FETCH_STARTS, FETCH_SEED = 100, 50_000_000
 
 Play: TypeAlias = Callable[[ArmWorld], Tensor]
@@ -77,7 +80,8 @@ class OfficialMetaWorld(MetaWorldSimulator):
         import metaworld
 
         Simulator.__init__(self, horizon)
-        benchmark = metaworld.MT1(task, seed=MT1_SEED)
+        with ONE_BY_ONE:
+            benchmark = metaworld.MT1(task, seed=MT1_SEED)
         self.environment = benchmark.train_classes[task]()
         self._goals = benchmark.train_tasks
         self._hand = self.environment.model.body("hand").id

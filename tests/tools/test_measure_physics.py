@@ -28,9 +28,10 @@ def test_poses_are_as_they_are_asked_for() -> None:
 
 
 def test_accepted_poses_are_lifted_and_others_hardly(tmp_path: Path) -> None:
-    ((_, measured),) = poses.accepted(tmp_path, SMALL)
+    ((_, measured),) = poses.accepted(tmp_path, Sizes(12, range(1)))
     row = measured()
-    assert (row.tried, row.lifted, row.strict) == (4, 4, 4)
+    assert row.tried == 12
+    assert 11 <= row.strict <= row.lifted
     ((_, measured),) = poses.refused(tmp_path, Sizes(10, range(1)))
     row = measured()
     assert row.tried == 3

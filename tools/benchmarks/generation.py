@@ -17,6 +17,7 @@ from benchmarks.stopwatch import Stopwatch
 from benchmarks.workload import POPULATION, Workload, larger_workload, workload
 from cgtorch.evolution import EvolutionSettings, Generation, Population, search
 from cgtorch.evolution.fitness import Evaluation, Evaluator, evaluator
+from cgtorch.evolution.racing import MakeEvaluator
 from cgtorch.graphs import Graphs
 from cgtorch.improvement.events import GenerationDone
 from cgtorch.report.tensorboard import TensorBoardWatch
@@ -118,11 +119,12 @@ def one_evolution(work: Workload, size: int, numbers: tuple[int, ...]) -> dict[i
     """
     watch, settings = Stopwatch(), EvolutionSettings(population=size)
     select = watch.around("selection", settings.selection)
-    settings = EvolutionSettings(population=size, selection=select)
     evaluated, received, logged = list[tuple[float, float]](), list[float](), list[float]()
+    how = {"selection": select, "evaluate": _timed(evaluated)}
+    settings = EvolutionSettings(population=size, **how)
     selection, populations = list[float](), dict[int, Population]()
     seed = torch.Generator().manual_seed(2)
-    with _timed_evaluations(evaluated), _logger(work) as log:
+    with _logger(work) as log:
         evolution = search.evolve(work.environment, work.actions, settings, seed)
         for generation in islice(evolution, max(numbers) + 2):
             received.append(time.perf_counter())
@@ -156,9 +158,8 @@ def _event(generation: Generation) -> GenerationDone:
     return GenerationDone("S0", "S0", 0, 0, solved, count, generation, 150, 1.0)
 
 
-@contextmanager
-def _timed_evaluations(times: list[tuple[float, float]]) -> Iterator[None]:
-    """Notes when each evaluation of a search begins and ends."""
+def _timed(times: list[tuple[float, float]]) -> MakeEvaluator:
+    """`evaluator`, which notes when each evaluation of a search begins and ends."""
 
     def timed(*args: Any, **named: Any) -> Evaluator:
         inner = evaluator(*args, **named)
@@ -171,11 +172,7 @@ def _timed_evaluations(times: list[tuple[float, float]]) -> Iterator[None]:
 
         return evaluation
 
-    search.evaluator = timed  # type: ignore[attr-defined]
-    try:
-        yield
-    finally:
-        search.evaluator = evaluator  # type: ignore[attr-defined]
+    return timed
 
 
 @contextmanager
