@@ -42,14 +42,14 @@ class Specialists:
         group_of: Chooses the scenarios on which a specialist is evolved.
         group: Number of these scenarios at first.
         widest: Number to which the group grows, by doubling, as long as all of it is solved, or
-            with rewards the fitness is good enough.
+            with rewards the fitness is good enough; it does not grow by default.
         team: The largest number of members of a team; eight need 15 nodes with their branches.
         stall: Generations without a better fitness after which its search gives up.
     """
 
     group_of: Grouping = local_group
     group: int = 12
-    widest: int = 12
+    widest: int = 0
     team: int = 8
     stall: int = 40
 

@@ -75,5 +75,4 @@ class Purse:
 
     def add(self, phase: str, asked: Asked) -> None:
         """Count what was asked before, such as before an interruption."""
-        if asked != NOTHING:
-            self.spent[phase] = self.spent.get(phase, Asked()) + asked
+        self.spent[phase] = self.spent.get(phase, NOTHING) + asked

@@ -55,6 +55,8 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     Returns:
         The new skill with what it solves and misses; the old one if eq. 1 could not be met.
     """
+    if setup.remembers and len(progress.missed):  # which a stage that comes back draws anew
+        return _without_missed(setup, progress, tests, draw)
     began = time.perf_counter()
     try:
         state = _begun(setup, progress, tests, draw)
@@ -105,6 +107,17 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         missed=scenarios[bad],
         seen=torch.cat([percepts[good], seen, percepts[bad]]),
     )
+
+
+def _without_missed(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Progress[S]:
+    """The result of a stage that leaves what earlier ones missed aside, and hands it on."""
+    solved, missed = len(progress.solved), progress.missed
+    seen = torch.zeros(0) if progress.seen is None else progress.seen
+    few = replace(progress, missed=missed[:0], seen=seen[:solved])
+    after = improve(setup, few, tests, draw)
+    kept = seen[:0] if after.seen is None else after.seen
+    both = after.missed.joined(missed)
+    return replace(after, missed=both, seen=torch.cat([kept, seen[solved:]]))
 
 
 def _begun(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> StageState[S]:

@@ -122,7 +122,7 @@ class Setup(Generic[S]):
     core: int = 1000
     group_of: Grouping = local_group
     group: int = 12
-    widest: int = 12
+    widest: int = 0
     team: int = 8
     replicas: int = 2
     replays: int = 8

@@ -88,7 +88,10 @@ def specialist(
         size, seeds = min(2 * size, len(percepts)), found.champion
         step = f"{name} on {size}"
     how = setup.max_transitions, setup.evolution.fitness, setup.device
-    return shrunk(found.champion, setup.actions, environment, *how), order[:size], found.solved
+    before = asked_of(environment)
+    small = shrunk(found.champion, setup.actions, environment, *how)
+    _counted(setup, replace(found, asked=_of_all_ranks(asked_of(environment) - before)))
+    return small, order[:size], found.solved
 
 
 def _held(setup: Setup[Any], found: Found, environment: Environment) -> Found:
@@ -98,7 +101,7 @@ def _held(setup: Setup[Any], found: Found, environment: Environment) -> Found:
     evaluate = evaluator(setup.actions, environment, nothing, limit, fitness=fitness)
     before = asked_of(environment)
     result = evaluate(found.champion.graphs)  # by the first rank alone
-    asked = Asked(*(ranks.all_reduce(n) for n in astuple(asked_of(environment) - before)))
+    asked = _of_all_ranks(asked_of(environment) - before)
     held = replace(found, solved=result.succeeded[0], best=float(result.fitness), asked=asked)
     return _counted(setup, held)
 
@@ -191,7 +194,7 @@ def evolve_candidate(
         done = generation, setup.budget.generations, seconds
         setup.watch(GenerationDone(setup.name, name, *counts, *done))
         now = asked_of(environment)
-        asked = Asked(*(ranks.all_reduce(n) for n in astuple(now - before)))
+        asked = _of_all_ranks(now - before)
         found, began = found.after(generation, seconds, asked), began + seconds
         before = now
         if setup.budget.ends(found):
@@ -201,6 +204,11 @@ def evolve_candidate(
     generator.set_state(ranks.broadcast(generator.get_state()))
     journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
     return _counted(setup, found)
+
+
+def _of_all_ranks(asked: Asked) -> Asked:
+    """The sum over all ranks, of which each has simulated some individuals."""
+    return Asked(*(ranks.all_reduce(n) for n in astuple(asked)))
 
 
 def _counted(setup: Setup[Any], found: Found, recalled: bool = False) -> Found:
@@ -226,6 +234,8 @@ def shrunk(
     on. The champion is a population of one. The environment, on `device`, contains its scenarios.
     For the rest see `cgtorch.evolution.evaluator`.
     """
+    if int(champion.graphs.num_nodes) <= READABLE:
+        return champion
     nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool, device=device)
     evaluation = evaluator(actions, environment, nothing, max_transitions, fitness=fitness)
 

@@ -142,7 +142,8 @@ def _rates(setup: Setup[S], state: StageState[S]) -> Tensor:
 def with_member(setup: Setup[S], state: StageState[S], missed: Tensor) -> StageState[S]:
     """The state with a specialist evolved in the models on `missed` (B,) scenarios."""
     name = f"{setup.name}.{state.number}"
-    rows = setup.group_of(state.percepts, missed, setup.widest, setup.generator)
+    most = max(setup.group, setup.widest)
+    rows = setup.group_of(state.percepts, missed, most, setup.generator)
     if setup.remembers:
         solved = (~missed).nonzero()[:, 0]
         rows = torch.cat([rows, near_by(state, rows, solved, setup.widest - len(rows))])

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.graphs import Skill
-from cgtorch.ground.asked import NAMES, Asked, Purse
+from cgtorch.ground.asked import NAMES, NOTHING, Asked, Purse
 from cgtorch.ground.environment import Dataset, Environment, Episode, Live, asked_of
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.events import S, WorldAsked
@@ -73,7 +73,8 @@ def _tried(
     purse.pay(phase, Asked(episodes=len(rows)))
     about, limit = (skill.graph, skill.actions, place), skill.max_transitions
     runs = rollout(*about, scenarios=rows, max_transitions=limit)
-    purse.add(phase, asked_of(world) - steps)
+    if (more := asked_of(world) - steps) != NOTHING:
+        purse.add(phase, more)
     return Trial(
         percepts=place.first[rows],
         succeeded=runs.succeeded[0],

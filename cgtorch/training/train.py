@@ -127,6 +127,7 @@ def train(training: Training, stage: str) -> list[dict[str, Any]]:
         progress = load_progress(run, run.folder / name)
         forget(run.folder / FOLDER / name)  # in case its process was killed before it could
     while not training.purse.exhausted:
+        ranks.wait()  # until the first rank has written the stage
         found = next_stage(names, run.stages, history_of(run.folder))
         if found is None:
             break

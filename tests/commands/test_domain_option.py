@@ -279,7 +279,11 @@ class Thawed(DomainSettings):
 @pytest.mark.parametrize(
     ("spec", "says"),
     [
-        ("fly", "unknown domain 'fly'; known are gymnasium, tabletop, or give 'package.module"),
+        (
+            "fly",
+            "unknown domain 'fly'; known are gymnasium, gymnasium-robotics, metaworld, tabletop, "
+            "or give 'package.module",
+        ),
         ("", "unknown domain ''"),
         ("no_such_package:Fly", "cannot import domain 'no_such_package:Fly'"),
         ("own_cart:Fly", "cannot import domain 'own_cart:Fly'"),
@@ -300,7 +304,7 @@ class Thawed(DomainSettings):
         ("others:Undecorated", "settings_type <class 'others.Bare'>; give a subclass of cgtorch."),
         ("others:Unsettled", "settings_type <class 'dict'>; give a subclass of cgtorch.Domain"),
         ("broken:Thawed", "from a frozen one) in line 5 of broken.py; correct that first"),
-        ("gymnasium", "names no environment; give gymnasium:ENV_ID"),
+        ("gymnasium", "names no environment; give gymnasium:NAME"),
         (":", "domain ':'"),
         ("..:x", "domain '..:x'"),
     ],

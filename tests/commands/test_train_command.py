@@ -63,7 +63,7 @@ def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> Non
     assert "New run run: evolve one skill for each of S0, S1, S2" in ended.err
     assert "builds on" not in ended.err
     last = ended.err.splitlines()[-1]
-    assert last.startswith("cgtorch-train: stage S0 found no skill that keeps W and solves more")
+    assert last.startswith("cgtorch-train: stage S0 and S1 and S2 found no skill that keeps")
     assert "raise attempts, generations or population" in last
     assert "Traceback" not in ended.err
     left = {name for name in listing(tmp_path / "run") if "tfevents" not in name}

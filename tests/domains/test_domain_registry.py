@@ -69,7 +69,9 @@ def test_an_installed_domain_is_known_by_its_name() -> None:
     assert {"cart", "gymnasium", "metaworld", "tabletop"} < set(known_names())
     assert domain_class("cart") is Cart
     assert make_domain("cart").settings == RailSettings()
-    assert "cart, gymnasium, tabletop" in refused(domain_class, "carts")
+    assert "cart, gymnasium, gymnasium-robotics, metaworld, tabletop" in refused(
+        domain_class, "carts"
+    )
 
 
 def test_a_domain_is_made_with_its_settings() -> None:

@@ -22,7 +22,7 @@ def test_numbers_are_added_and_subtracted_one_by_one(one: Asked, other: Asked) -
     assert one + other - other == one
     assert one + Asked() == one
     assert one.actions == one.motions + one.tests
-    assert NAMES == ("motions", "tests", "looks", "episodes")
+    assert NAMES == ("motions", "tests", "looks", "episodes", "steps", "simulated")
 
 
 @given(

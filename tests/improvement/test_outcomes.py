@@ -181,3 +181,25 @@ def test_a_stage_that_remembers_keeps_w_and_asks_for_less() -> None:
         counts.append(sum(key in known for key in watched.acted))
     assert counts[0] >= len(first.solved)
     assert counts[1] < counts[0] / 2
+
+
+def test_what_earlier_stages_missed_is_handed_on_but_not_tried() -> None:
+    scenarios, far = stage_scenarios("near"), stage_scenarios("far")
+    skill = MEMBERS[0]
+    trial = try_skill(skill, world_of(scenarios.joined(far)))
+    good = trial.succeeded
+    every = scenarios.joined(far)
+    before = first_stage(
+        skill, solved=every[good], missed=every[~good],
+        seen=torch.cat([trial.percepts[good], trial.percepts[~good]]),
+    )  # fmt: skip
+    assert len(before.missed)
+    watched = Watched()
+    how = {"remembers": True, "practice": 6, "replicas": 1, "world_of": watched}
+    none = stage_scenarios("near", 0)
+    after = improve(stage_of(without_models(**how)), before, none, along("near"))
+    assert not set(keys(before.missed)) & set(watched.acted)
+    assert set(keys(before.missed)) <= set(keys(after.missed))
+    assert after.seen is not None
+    every = after.solved.joined(after.missed)
+    assert torch.equal(after.seen, first_percepts(world_of(every)))

@@ -10,7 +10,7 @@ from support import as_double, as_double_actions, nested_actions, random_graphs,
 from torch import Tensor
 
 from cgtorch.evolution import COST, ChanceOfSuccess, chance_of_success
-from cgtorch.evolution.fitness import LEAST, Evaluation, _by_rollouts, evaluator
+from cgtorch.evolution.fitness import LEAST, Evaluation, Parts, _by_rollouts, evaluator
 from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground.environment import start_lanes
 from cgtorch.native import available
@@ -44,6 +44,19 @@ def some_runs(seed: int) -> tuple[Rollouts, Tensor]:
     nothing = torch.zeros(3, 5, 1)
     runs = Rollouts(succeeded, ~succeeded, nothing, nothing, transitions, 0)
     return runs, torch.rand(3, 5, generator=g)
+
+
+def by_rollouts(
+    graphs: Graphs,
+    actions: ActionSet,
+    place: ModelEnvironment,
+    keep: Tensor,
+    limit: int,
+    cost: float,
+) -> Parts:
+    """The evaluation in torch, on all scenarios."""
+    every = torch.arange(len(keep))
+    return _by_rollouts(graphs, actions, place, keep, limit, ChanceOfSuccess(cost), every)
 
 
 @given(st.integers(0, 2**20), COSTS)
@@ -109,7 +122,7 @@ def test_compiled_values_are_those_of_torch(
     found = engine_evaluation(graphs, actions, environment, keep, limit, cost)
     if dtype == torch.float64:
         environment.__class__ = InTorch
-    wanted = _by_rollouts(graphs, actions, environment, keep, limit, ChanceOfSuccess(cost))
+    wanted = by_rollouts(graphs, actions, environment, keep, limit, cost)
     assert torch.equal(found[2], wanted[2])
     torch.testing.assert_close(found[1], wanted[1].to(found[1]), atol=1e-6, rtol=0)
     torch.testing.assert_close(found[0], wanted[0], atol=1e-6, rtol=0)
@@ -124,7 +137,7 @@ def test_compiled_values_of_any_domain_are_those_of_torch(domain: str) -> None:
     graphs = as_double(random_graphs(4, 20, actions))
     for cost in (0.0, COST, 0.2):
         found = engine_evaluation(graphs, actions, environment, keep, 20, cost)
-        wanted = _by_rollouts(graphs, actions, environment, keep, 20, ChanceOfSuccess(cost))
+        wanted = by_rollouts(graphs, actions, environment, keep, 20, cost)
         torch.testing.assert_close(found[1], wanted[1].to(found[1]), atol=1e-6, rtol=0)
 
 
@@ -173,7 +186,7 @@ def test_an_evaluator_hands_the_cost_on() -> None:
     assert (dear.fitness < free.fitness).any()
     parts = evaluated(ChanceOfSuccess(0.05), 20)
     assert torch.equal(parts.scores, dear.scores)
-    wanted = _by_rollouts(graphs, actions, environment, keep, 20, ChanceOfSuccess(0.05))
+    wanted = by_rollouts(graphs, actions, environment, keep, 20, 0.05)
     torch.testing.assert_close(dear.scores, wanted[1].to(dear.scores), atol=1e-6, rtol=0)
 
 
