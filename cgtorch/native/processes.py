@@ -27,6 +27,7 @@ Result = TypeVar("Result")
 Listener: TypeAlias = Callable[[str, int, int], None]
 """Is told what is counted, how much of it is done, and how much there is in all."""
 
+SOON = 0.5  # s in which a signal reaches all processes
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 _work: Callable[[int], Any]
 _forked = False
@@ -64,6 +65,7 @@ def in_processes(
             for sent in as_completed(numbers):
                 keep(numbers[sent], pickle.loads(sent.result()))  # noqa: S301  of our own process
         except BrokenProcessPool as e:
+            time.sleep(SOON)  # so that Ctrl-C, if it was that, comes here, too
             raise DataError(
                 f"one of {processes} processes was killed, probably because memory ran out; use "
                 "torch.set_num_threads(1) to use one only"
