@@ -152,7 +152,7 @@ def official_of(play: Play, domain: Manipulation, task: str, count: int) -> Offi
     for start in range(count):
         starts = Starts(torch.tensor([number]), torch.tensor([start]))
         size = simulators[number].size
-        state = play(ArmWorld(starts, simulators, domain.arm, size, domain.ids))
+        state = play(ArmWorld(starts, simulators, domain.arm, size, domain.num_ids))
         solved += bool(state[SOLVED] > 0)
         steps += float(state[STEPS])
     return Official(solved, count, steps / count)

@@ -1,6 +1,7 @@
 """Tasks of arms as domains, with primitives as actions and one stage for each task."""
 
-from collections.abc import Mapping
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
 from functools import cached_property, partial
 from typing import Any, ClassVar
 
@@ -36,6 +37,12 @@ class Manipulation(Domain[Starts]):
 
     Attributes:
         tasks: The distinct tasks by name; scenarios have their numbers.
+        num_ids: The number of tasks that percepts tell apart, 0 if they do not.
+        package: The package of the environments, whose version a run notes.
+        seen: The names of what is seen, as `Simulator.perceive` returns it.
+        places: The names of the places that primitives can move to.
+        centre: (x, y, z) of the space that the arm works in, in m.
+        make: The class of simulators.
         view: Azimuth and elevation in degrees, and distance in m, of films.
     """
 
@@ -51,7 +58,7 @@ class Manipulation(Domain[Starts]):
     seen: ClassVar[tuple[str, ...]]
     places: ClassVar[tuple[str, ...]]
     centre: ClassVar[tuple[float, float, float]]
-    make: ClassVar[type[Simulator]]
+    make: ClassVar[Callable[..., Simulator]]
 
     def __init__(self, settings: ManipulationSettings | None = None) -> None:
         """The tasks of the settings; DomainError if there are none of that name."""
@@ -62,15 +69,16 @@ class Manipulation(Domain[Starts]):
         self.stages = {f"{i:02}-{task}": task for i, task in enumerate(every, 1)}
         several = len(self.tasks) > 1 and self.settings.task_id == WITH_ID
         ids = self.tasks if several else ()
-        self.ids = {number: number for number in range(len(ids))}
+        self.num_ids = len(ids)
         self.arm = Arm((*self.seen, "time", *ids), self.places, self.centre)
         self.percept = self.arm.fields
-        self.simulators = Simulators(partial(_made, self.make, self.settings.horizon), self.tasks)
+        make = partial(self.make, horizon=self.settings.horizon)
+        self.simulators = Simulators(make, self.tasks)
 
     @staticmethod
+    @abstractmethod
     def named(name: str) -> tuple[str, ...]:
         """The tasks of a name, in the order of stages; DomainError if there are none."""
-        raise NotImplementedError
 
     @cached_property
     def _size(self) -> int:
@@ -83,7 +91,7 @@ class Manipulation(Domain[Starts]):
 
     def world(self, scenarios: Starts) -> ArmWorld:
         """See `Domain.world`."""
-        return ArmWorld(scenarios, self.simulators, self.arm, self._size, self.ids)
+        return ArmWorld(scenarios, self.simulators, self.arm, self._size, self.num_ids)
 
     def actions(self) -> ActionSet:
         """See `Domain.actions`: primitives, and a network that branches."""
@@ -127,8 +135,3 @@ class Fetch(Manipulation):
         """See `Manipulation.primitives`: shorter ones, as a low-level step is longer."""
         pace = 1 / 3
         return {**primitives(self.arm, pace), "Wait": Wait(self.arm, "object", pace)}
-
-
-def _made(make: Any, horizon: int, task: str) -> Simulator:
-    made: Simulator = make(task, horizon)
-    return made

@@ -75,12 +75,10 @@ class Primitive(Action):
         more = grip, limit, fast, torch.full_like(grip, near)
         return environment.step(lanes, torch.cat([target, *more], 1))[0]
 
-    def from_above(
-        self, lanes: Lanes, environment: Environment, target: Tensor, clear: float = CLEARANCE
-    ) -> Lanes:
+    def from_above(self, lanes: Lanes, environment: Environment, target: Tensor) -> Lanes:
         """The lanes after the hand came to a target (n, 3) from above."""
         hand = self.at(lanes)
-        high = torch.maximum(hand[:, 2:], target[:, 2:] + clear)
+        high = torch.maximum(hand[:, 2:], target[:, 2:] + CLEARANCE)
         lanes = self.over(lanes, environment, (hand, target), high)
         return self.go(lanes, environment, target, NEAR)
 

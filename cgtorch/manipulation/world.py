@@ -1,12 +1,13 @@
 """The world of an arm: states are rows of a simulator, and controls are segments."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from cgtorch.domains.world import World
 from cgtorch.ground.asked import Asked
@@ -67,15 +68,15 @@ class ArmWorld(World):
     control_size = len(CONTROL)
 
     def __init__(
-        self, scenarios: Starts, simulators: Simulators, arm: Arm, size: int, ids: Mapping[int, int]
+        self, scenarios: Starts, simulators: Simulators, arm: Arm, size: int, num_ids: int
     ) -> None:
         """The world of starts, whose states have `size` numbers.
 
-        `ids` has the number of a task in percepts by its number in starts; empty if percepts do not
-        tell it.
+        Percepts tell `num_ids` tasks apart, one number each, or 0.
         """
         super().__init__(scenarios)
-        self._simulators, self._arm, self._size, self._ids = simulators, arm, size, ids
+        self._simulators, self._arm = simulators, arm
+        self._size, self._num_ids = size, num_ids
 
     @property
     def asked(self) -> Asked:
@@ -109,14 +110,13 @@ class ArmWorld(World):
 
     def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
         """See `World.perceived`."""
-        seen = state[:, SEEN : SEEN + len(self._arm.names) - 1 - len(self._ids)]
+        seen = state[:, SEEN : SEEN + len(self._arm.names) - 1 - self._num_ids]
         some = next(iter(self.scenarios.task.tolist()), 0)  # all have the same horizon
         percept = self._arm.perceived(seen, state[:, STEPS] / self._simulators[some].horizon)
-        if not self._ids:
+        if not self._num_ids:
             return percept
-        number = torch.tensor([self._ids[int(t)] for t in self.scenarios.task[scenario]])
-        one_hot = torch.zeros(len(percept), len(self._ids), dtype=percept.dtype)
-        return torch.cat([percept, one_hot.scatter_(1, number[:, None], 1.0)], 1)
+        number = one_hot(self.scenarios.task[scenario], self._num_ids)
+        return torch.cat([percept, number.to(percept)], 1)
 
     def _of(self, scenario: Tensor) -> list[tuple[Simulator, int]]:
         tasks, seeds = self.scenarios.task[scenario].tolist(), self.scenarios.seed[scenario]

@@ -17,7 +17,7 @@ from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.improvement import events
 from cgtorch.report.messages import as_time, few_solved, message_of, place_of, stage_number
 
-OFTEN = 60.0  # s at least between two lines on the same work where there is no terminal
+OFTEN = 25.0  # s at least between two lines on the same work where there is no terminal
 MEMORY = 0.9  # weight of the past in smoothed numbers
 ENOUGH = 30  # episodes, to say how many of them succeeded
 
@@ -96,7 +96,7 @@ class ProgressDisplay:
     """A `Watch` that shows events on a console, as a context manager; nothing if `quiet`.
 
     On a terminal, a few lines are updated, and accepted skills stay above them. Otherwise there is
-    a line for each stage, fit, test in the world and accepted skill.
+    a line for each stage, fit, test in the world and accepted skill, and for long evolutions.
     """
 
     def __init__(self, console: Console | None = None, quiet: bool = False):
@@ -111,6 +111,7 @@ class ProgressDisplay:
         self._world = ""
         # Episodes of candidates that the models expected to succeed, and those that did.
         self._tried = self._solved = 0
+        self._has_models, self._told = False, time.monotonic()
         self._working: list[tuple[str, float, Spinner]] = []
         # Of counted work: when it began, when a line last told of it, and how far it is.
         self._counts: dict[str, tuple[float, float, str]] = {}
@@ -139,6 +140,10 @@ class ProgressDisplay:
             case events.GenerationDone():
                 self._generation = event
                 self._estimate.generation_done(event)
+                if time.monotonic() - self._told >= OFTEN:
+                    done, limit = event.generation.number + 1, event.limit
+                    numbers = _numbers(event, None).plain.strip()
+                    self._plain(f"{event.candidate}: generation {done} of ≤ {limit}, {numbers}")
             case events.EvolutionRecalled() | events.JournalDamaged() | events.FreshTested():
                 self.say(message)
             case events.StageStarted():
@@ -146,6 +151,7 @@ class ProgressDisplay:
                 self._estimate.stage_started(event)
                 self._plain(message)
             case events.ModelsFitted():
+                self._has_models = True
                 # The quality of the first Γ and C is a result, so its line stays.
                 (self.say if event.summary.first else self._plain)(message)
             case events.WorldAsked() | events.Practised():
@@ -168,7 +174,8 @@ class ProgressDisplay:
         """Say once that little succeeds in the world."""
         before = self._tried
         self._tried, self._solved = self._tried + tried, self._solved + solved
-        if before < ENOUGH <= self._tried and self._solved < self._tried / 4:
+        few = self._solved < self._tried / 4
+        if self._has_models and few and before < ENOUGH <= self._tried:
             self.say(few_solved(self._tried, self._solved), style="yellow")
 
     @contextmanager
@@ -195,6 +202,7 @@ class ProgressDisplay:
 
     def say(self, line: str, style: str = "") -> None:
         """Print a line that stays, unless quiet."""
+        self._told = time.monotonic()
         if not self._quiet:
             self.console.print(Text(line, style=style), soft_wrap=True)
 

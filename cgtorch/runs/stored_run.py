@@ -48,7 +48,7 @@ from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_
 from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
 
-FORMAT, VERSION = "cgtorch-run", 5
+FORMAT, VERSION = "cgtorch-run", 6
 AUTO = "auto"
 """The stage name that asks for rounds, auto-1, auto-2, …, until a goal is reached."""
 

@@ -209,3 +209,51 @@ def test_first_graphs_of_ones_own() -> None:
 def test_first_graphs_that_cannot_be_used(wrong: Callable[..., Any]) -> None:
     with pytest.raises(SettingsError, match="first_graphs"):
         next(evolve(model(0, 5), ACTIONS, replace(SMALL, first_graphs=wrong), seeded(0)))
+
+
+@pytest.mark.parametrize("newcomers", [0, 7, 27])
+def test_newcomers_are_random_graphs_in_place_of_children(newcomers: int) -> None:
+    """Where crossover and mutation change nothing, all others are copies of parents."""
+
+    def unchanged(one: Population, other: Population, generator: Generator) -> Population:
+        return Population(
+            Graphs(*(torch.cat(pair) for pair in zip(vars(one.graphs).values(),
+                                                     vars(other.graphs).values(), strict=True))),
+            torch.cat([one.strategy, other.strategy]),
+        )  # fmt: skip
+
+    settings = replace(
+        SMALL, newcomers=newcomers, crossover=unchanged, strategy=(0.4,) * 8,
+        mutation=lambda population, *_: population,
+    )  # fmt: skip
+    state = initial_state(settings, ACTIONS, seeded(0))
+    old = {tuple(row.tolist()) for row in state.population.graphs.parameters.flatten(1)}
+    after = tell(state, torch.arange(30.0), settings, ACTIONS, seeded(1)).population
+    assert len(after) == 30
+    width = state.population.graphs.parameters.shape[1]
+    rows = widened(after.graphs, max(width, after.graphs.capacity)).parameters[:, :width]
+    known = [tuple(row.tolist()) in old for row in rows.flatten(1)]
+    assert all(known[: 30 - newcomers])
+    assert sum(known[30 - newcomers :]) <= newcomers // 3
+    assert torch.allclose(after.strategy[30 - newcomers :], torch.tensor(0.4))
+    seeds = replace(state.population[:3], strategy=torch.full((3, 8), 0.3))
+    seeded_ones = initial_state(settings, ACTIONS, seeded(0), seeds).population.strategy
+    assert torch.equal(seeded_ones[:15], torch.full((15, 8), 0.3))
+    assert torch.allclose(seeded_ones[15:], torch.tensor(0.4))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"newcomers": -1}, "newcomers are -1; give 0 to 27"),
+        ({"newcomers": 28}, "newcomers are 28; give 0 to 27"),
+        ({"strategy": (0.5,) * 7}, "give 8 numbers from 0.001 to 1"),
+        ({"strategy": (1.5,) + (0.5,) * 7}, "the last up to 10"),
+        ({"strategy": (0.5,) * 7 + (10.5,)}, "the last up to 10"),
+        ({"strategy": (0.0,) + (0.5,) * 7}, "from 0.001"),
+    ],
+)
+def test_impossible_newcomers_and_strategies_are_refused(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(SettingsError, match=said):
+        replace(SMALL, **wrong)
+    replace(SMALL, newcomers=27, strategy=(1.0,) * 7 + (10.0,))

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from members import nearly
-from reaching import in_the_world
+from reaching import in_the_world, world_of
 from support import model, random_graphs, seeded
 from torch import Tensor
 from watched import along, first_stage, of_kind, stage_of, state_of, without_models
@@ -24,6 +24,7 @@ from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Budget
 from cgtorch.improvement.specialists import READABLE, SLACK, _without_each, shrunk
 from cgtorch.improvement.team import FEWEST, OTHERS, with_member
+from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
 
@@ -202,3 +203,40 @@ def test_every_node_goes_once_for_every_other() -> None:
     was = graphs.used[0]
     missing = (was & ~smaller.used).sum(0)[was]
     assert (missing >= n - 1).all()
+
+
+def test_what_is_missed_comes_first_where_rollouts_take_time() -> None:
+    """A result that holds on more is not evolved again, and a worse one is not taken."""
+    scenarios = random_scenarios("perimeter", 60, seeded(5))
+    skill = nearly(0.3)
+    solved = try_skill(skill, world_of(scenarios)).succeeded
+    good, bad = solved.nonzero()[:, 0], (~solved).nonzero()[:, 0]
+    rows = torch.cat([good[:4], bad[:2], good[4:6]])
+    some, champion = scenarios[rows], Population(skill.graph, initial_strategy(1))
+    told = list[tuple[str, list[int]]]()
+
+    def imagine(models: None, group: Scenarios, percepts: Tensor, count: int, *_: Any) -> Any:
+        world: Any = in_the_world(models, group, percepts, count)
+        world.group = group.seed.tolist()
+        return world
+
+    def evolved(stage: Any, name: str, environment: Any, seeds: Any = None, **how: Any) -> Found:
+        told.append((name, environment.group))
+        best = 0.9 if len(told) == 1 else 0.1
+        everything = torch.full((environment.num_scenarios,), len(told) == 1)
+        return Found(champion, everything, best)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(specialists, "evolve_candidate", evolved)
+        how = {"group": 2, "widest": 8, "replicas": 1, "searches": 1, "remembers": True}
+        setup = replace(without_models(**how), imagine=imagine)
+        percepts = first_percepts(world_of(some))
+        graphs, where, found = specialists.specialist(
+            stage_of(setup), "a", None, some, percepts, None
+        )
+    seeds = some.seed.tolist()
+    assert told[0] == ("a", seeds[:2])
+    assert told[1:] == [("a on 8", [*seeds[4:6], *seeds[:4], *seeds[6:]])]
+    assert where.tolist() == [4, 5, 0, 1, 2, 3, 6, 7]
+    assert found.tolist() == [False, False, *[True] * 6]
+    assert graphs is champion

@@ -7,12 +7,15 @@ from pathlib import Path
 import pytest
 import torch
 from arms import chain, fetch, meta_world, starts
+from torch import Tensor
 
 from cgtorch.domains.registry import is_code, make_domain, settings_class
-from cgtorch.ground.environment import start_lanes
+from cgtorch.evolution import EvolutionSettings, evolve
+from cgtorch.ground.environment import Environment, Lanes, start_lanes
 from cgtorch.ground.errors import DomainError
 from cgtorch.improvement.events import Event, GenerationDone
 from cgtorch.manipulation.metaworld import CW10
+from cgtorch.manipulation.primitives import Primitive
 from cgtorch.manipulation.settings import FetchSettings, ManipulationSettings
 from cgtorch.manipulation.simulator import CLOSEST, SEEN, SOLVED
 from cgtorch.runs.log import read_log
@@ -150,3 +153,36 @@ def test_a_training_that_was_stopped_ends_as_if_it_had_not_been(tmp_path: Path) 
         for run in (whole, stopped)
     ]
     assert counts[0] == counts[1]
+
+
+def test_parts_are_tried_once_where_low_level_steps_are_counted() -> None:
+    """And actions of the library not at all."""
+    domain, wave = meta_world("reach-v3"), Wave()
+    world = domain.world(starts(domain, 5))
+    steps = []
+    for actions in (domain.actions(), domain.actions().extended(["Wave"], [wave])):
+        settings = EvolutionSettings(population=2, elite=0, initial_nodes=(1, 1))
+        for _ in range(2):
+            before, wave.asked = world.asked.steps, 0
+            search = evolve(world, actions, settings, torch.Generator().manual_seed(0))
+            next(search)
+            steps.append((world.asked.steps - before, wave.asked > 2))
+    (first, own), (second, _), (_, tried), (_, again) = steps
+    assert first > second
+    assert (own, tried, again) == (False, True, False)
+
+
+class Wave(Primitive):
+    """An action of one's own, which notes how many lanes it was tried on."""
+
+    num_parameters = 0
+    asked = 0
+
+    def __init__(self) -> None:
+        super().__init__(meta_world("reach-v3").arm)
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        self.asked += len(lanes)
+        return lanes, lanes.step.new_zeros(len(lanes))

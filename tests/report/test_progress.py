@@ -90,9 +90,37 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
     )
 
 
+@pytest.mark.parametrize("terminal", [True, False])
+@pytest.mark.parametrize(("seconds", "said"), [(24, False), (26, True)])
+def test_a_long_evolution_is_heard_of_where_there_is_no_terminal(
+    events: list[Event], monkeypatch: pytest.MonkeyPatch, seconds: float, said: bool, terminal: bool
+) -> None:
+    """Before half a minute is over, if nothing else is said."""
+    now = 100.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    display = ProgressDisplay(console(terminal))
+    generation = next(e for e in events if isinstance(e, GenerationDone))
+    display.say("begun")
+    for _ in range(2):
+        now += seconds
+        display(generation)
+        display(generation)
+    lines = [line for line in text_of(display).splitlines() if "generation" in line]
+    assert len(lines) == (2 * said or 1) * (not terminal)
+    wanted = f"{generation.candidate}: generation {generation.generation.number + 1} of"
+    assert all(line.startswith(wanted) and "fitness best" in line for line in lines)
+
+
+@pytest.mark.parametrize("models", [True, False])
 @pytest.mark.parametrize(("solved", "said"), [(2, True), (3, False)])
-def test_it_is_told_once_that_little_succeeds(solved: int, said: bool) -> None:
+def test_it_is_told_once_that_little_succeeds(
+    events: list[Event], solved: int, said: bool, models: bool
+) -> None:
+    """If there are models, whose fault it may be."""
+    said &= models
     with ProgressDisplay(console(False)) as display:
+        if models:
+            display(next(e for e in events if isinstance(e, ModelsFitted)))
         display(WorldAsked("S1", "exploration", Asked(90, 90)))
         display(WorldAsked("S1", "other noise", Asked(90, 90, 90, 90), 90))
         for _ in range(6):
