@@ -33,6 +33,11 @@ def message_of(event: events.Event) -> str:
         case events.JournalDamaged():
             files = ", ".join(event.files)
             return f"{event.stage}: damaged files, whose work is repeated: {files}"
+        case events.StageFailed():
+            return (
+                f"{event.stage}: no skill keeps W and solves more after {event.attempts} attempts; "
+                "the stage comes back if another one is made"
+            )
         case events.ModelsFitted():
             return f"{event.stage}: {event.summary.text}, {event.seconds:.1f} s"
         case events.WorldTested():

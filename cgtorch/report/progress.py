@@ -160,7 +160,7 @@ class ProgressDisplay:
                 if message:
                     self._world = message
                     self._plain(message)
-            case events.ChanceFound():
+            case events.ChanceFound() | events.StageFailed():
                 self.say(message, style="yellow")
             case events.WorldTested():
                 self._estimate.evolution_over()

@@ -21,6 +21,7 @@ from cgtorch.improvement.events import (
     ModelSummary,
     Practised,
     SkillAccepted,
+    StageFailed,
     StageStarted,
     WorldAsked,
 )
@@ -109,6 +110,14 @@ def test_a_long_evolution_is_heard_of_where_there_is_no_terminal(
     assert len(lines) == (2 * said or 1) * (not terminal)
     wanted = f"{generation.candidate}: generation {generation.generation.number + 1} of"
     assert all(line.startswith(wanted) and "fitness best" in line for line in lines)
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_stage_that_fails_is_told_of(terminal: bool) -> None:
+    with ProgressDisplay(console(terminal)) as display:
+        display(StageFailed("S1", 4))
+    said = "S1: no skill keeps W and solves more after 4 attempts; the stage comes back if another"
+    assert said in text_of(display).replace("\n", " ")
 
 
 @pytest.mark.parametrize("models", [True, False])
@@ -371,7 +380,9 @@ def test_long_work_shows_how_much_is_done_how_fast_and_what_is_left(
     assert snapshot(display) == ["  grasps in physics: 0 of 10"]
 
 
-def test_without_a_terminal_there_is_a_line_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_is_heard_of_where_there_is_no_terminal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     clock = [100.0]
     monkeypatch.setattr("time.monotonic", lambda: clock[0])
     display = ProgressDisplay(console(False))
@@ -380,6 +391,9 @@ def test_without_a_terminal_there_is_a_line_a_minute(monkeypatch: pytest.MonkeyP
         clock[0] += 3
     lines = text_of(display).splitlines()
     assert lines == [
-        "grasps: 40 of 100, 0.667/s, left 1:30",
-        "grasps: 80 of 100, 0.667/s, left 0:30",
+        "grasps: 18 of 100, 0.667/s, left 2:03",
+        "grasps: 36 of 100, 0.667/s, left 1:36",
+        "grasps: 54 of 100, 0.667/s, left 1:09",
+        "grasps: 72 of 100, 0.667/s, left 0:42",
+        "grasps: 90 of 100, 0.667/s, left 0:15",
     ]
