@@ -20,6 +20,8 @@ from cgtorch.manipulation.simulator import Simulator
 from cgtorch.manipulation.world import CONTROL, ArmWorld, Simulators, Starts
 
 MOST_SEEDS = 2**31
+EVERY = "every-task"
+"""The kind of starts of any task of a set."""
 
 
 class ManipulationFiles(Files["Manipulation"]):
@@ -65,7 +67,7 @@ class Manipulation(Domain[Starts]):
         super().__init__(settings)
         every = self.named(self.settings.environment)
         self.tasks = tuple(dict.fromkeys(every))
-        self.kinds = self.tasks
+        self.kinds = (EVERY, *self.tasks) if len(self.tasks) > 1 else self.tasks
         self.stages = {f"{i:02}-{task}": task for i, task in enumerate(every, 1)}
         several = len(self.tasks) > 1 and self.settings.task_id == WITH_ID
         ids = self.tasks if several else ()
@@ -87,7 +89,11 @@ class Manipulation(Domain[Starts]):
     def draw(self, kind: str, count: int, generator: Generator) -> Starts:
         """See `Domain.draw`."""
         seed = torch.randint(MOST_SEEDS, (count,), generator=generator)
-        return Starts(torch.full((count,), self.tasks.index(kind)), seed)
+        if kind == EVERY:
+            task = torch.randint(len(self.tasks), (count,), generator=generator)
+        else:
+            task = torch.full((count,), self.tasks.index(kind))
+        return Starts(task, seed)
 
     def world(self, scenarios: Starts) -> ArmWorld:
         """See `Domain.world`."""

@@ -20,6 +20,7 @@ GOOD, LINE, FAINT, INK, GRID, PAPER = (
     "#1a7f37", "#4a6fa5", "#a58f6b", "#1c1f24", "#e6e6e6", "#8a6d3b",
 )  # fmt: skip
 WIDTH = 8.4  # inches
+MOST_LETTERS = 60  # of names of stages that stand side by side
 BINS = 10  # of equal widths, that probabilities were put into
 SPREAD = 2.0  # standard errors of a frequency that its bar spans
 RATES = {
@@ -122,7 +123,9 @@ def draw_success(
         axes.axhline(share, color=PAPER, ls="--", lw=1.2)
         axes.plot([], [], color=PAPER, ls="--", lw=1.2, label=f"{who}: {_percent(share)}")
     names = [name for name, _, _ in shares]
-    axes.set_xticks(range(len(names)), names, rotation=90 if len(names) > 10 else 0)
+    slanted: dict[str, Any] = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"}
+    crowded = sum(map(len, names)) > MOST_LETTERS
+    axes.set_xticks(range(len(names)), names, **(slanted if crowded else {}))
     axes.set(xlim=(-0.5, max(len(names), 1) - 0.5), ylim=(0, 1.04), ylabel="scenarios solved")
     axes.yaxis.set_major_formatter(_percent)
     _legend(axes)
@@ -214,7 +217,8 @@ def _mark_stages(axes: "Axes", rows: Sequence[Row], stages: Sequence[str], named
         if not numbers:
             continue
         axes.axvline(numbers[-1] + 0.5, color=FAINT, lw=0.9, ls=":")
-        if named and len(numbers) > 0.02 * len(rows) and len(stages) <= 12:
+        share = len(numbers) / len(rows)
+        if named and MOST_LETTERS * share > len(name) / 2 and len(stages) <= 12:
             axes.annotate(
                 name, ((numbers[0] + numbers[-1]) / 2, 1), xycoords=("data", "axes fraction"),
                 xytext=(0, 3), textcoords="offset points", ha="center", va="bottom", fontsize=8,

@@ -50,6 +50,11 @@ def test_sets_are_stages_in_their_order() -> None:
     assert twice.tasks == CW10
     assert list(twice.stages.values()) == [*CW10, *CW10]
     assert list(twice.stages)[::10] == ["01-hammer-v3", "11-hammer-v3"]
+    drawn = twice.draw("every-task", 200, torch.Generator().manual_seed(0))
+    assert twice.kinds == ("every-task", *CW10)
+    assert drawn.task.bincount(minlength=10).min() > 5
+    assert set(twice.draw("push-v3", 9, torch.Generator()).task.tolist()) == {6}
+    assert meta_world("reach-v3").kinds == ("reach-v3",)
     assert len(meta_world("MT50").stages) == 50
     assert len(meta_world("MT10").stages) == 10
 
