@@ -192,7 +192,7 @@ def test_a_run_of_another_version(shell: Shell, run_folder: Path) -> None:
             ("cgtorch-view", run_folder),
         ):
             message = shell.refuses(*words)
-            said = f"is of version {version!r}, this cgtorch reads 5; use the version that wrote it"
+            said = f"is of version {version!r}, this cgtorch reads 6; use the version that wrote it"
             assert said in message
     edited(run_folder, version=5, format="other")
     assert "is not of a cgtorch run" in shell.refuses(EVALUATE, run_folder)

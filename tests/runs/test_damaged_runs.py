@@ -169,15 +169,15 @@ def test_percepts_that_are_not_those_of_w_and_m(
 
 
 def test_a_run_of_the_version_before(folder: Path) -> None:
-    """Its settings and skill files had other fields."""
+    """Its log had other columns."""
     path = folder / "run.json"
     raw = path.read_text()
     try:
-        assert json.loads(raw)["version"] == 5
-        path.write_text(json.dumps({**json.loads(raw), "version": 4}))
+        assert json.loads(raw)["version"] == 6
+        path.write_text(json.dumps({**json.loads(raw), "version": 5}))
         message = attempt(lambda: read_run(folder))
         assert message.endswith(
-            "is of version 4, this cgtorch reads 5; use the version that wrote it"
+            "is of version 5, this cgtorch reads 6; use the version that wrote it"
         )
     finally:
         path.write_text(raw)
