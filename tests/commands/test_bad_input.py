@@ -180,7 +180,7 @@ def test_a_skill_file_with_parameters_that_are_no_numbers(shell: Shell, run_fold
 
 def test_a_run_of_another_version(shell: Shell, run_folder: Path) -> None:
     before = listing(run_folder)
-    for version in (1, 4, 6, 0, "5", None, [5]):
+    for version in (1, 5, 7, 0, "6", None, [6]):
         edited(run_folder, version=version)
         for words in (
             (TRAIN, "--resume", run_folder),
@@ -194,7 +194,7 @@ def test_a_run_of_another_version(shell: Shell, run_folder: Path) -> None:
             message = shell.refuses(*words)
             said = f"is of version {version!r}, this cgtorch reads 6; use the version that wrote it"
             assert said in message
-    edited(run_folder, version=5, format="other")
+    edited(run_folder, version=6, format="other")
     assert "is not of a cgtorch run" in shell.refuses(EVALUATE, run_folder)
     assert listing(run_folder) == before
 
