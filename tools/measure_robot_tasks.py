@@ -34,7 +34,7 @@ from cgtorch.manipulation.simulator import SOLVED, STEPS, Floats, Simulator
 from cgtorch.manipulation.world import ArmWorld, Simulators, Starts
 from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.log import read_log
-from cgtorch.runs.stored_run import StoredRun
+from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.simulation import rollout
 
 GOALS, MT1_SEED = 50, 12345
@@ -203,12 +203,16 @@ def measured(
 
 def tried(folder: Path, count: int) -> dict[str, Any]:
     """What the last skill of a run does by the official protocol, and what the run has asked."""
-    run, skill = last_skill(folder)
+    run = read_run(folder)
     domain = run.domain
     if not isinstance(domain, Manipulation):
         raise click.ClickException(f"{folder} is no run of a robot benchmark")
     few = count or (FETCH_STARTS if isinstance(domain, Fetch) else GOALS)
-    found = {task: official(skill, domain, task, few) for task in domain.tasks}
+    if run.stages:
+        skill = last_skill(folder)[1]
+        found = {task: official(skill, domain, task, few) for task in domain.tasks}
+    else:  # nothing was learned
+        found = dict.fromkeys(domain.tasks, Official(0, few, 0.0))
     return {
         "official": {task: [f.succeeded, f.tried, round(f.steps, 1)] for task, f in found.items()},
         "steps": {

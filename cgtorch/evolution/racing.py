@@ -1,72 +1,97 @@
-"""Races: individuals run on few scenarios, and the better half of them on more.
+"""Races: individuals run on one scenario after the other, up to their first failure.
 
-This is successive halving (Jamieson & Talwalkar, "Non-stochastic best arm identification and
-hyperparameter optimization", AISTATS 2016), for worlds in which each rollout takes its time.
+So most cost a single rollout, for worlds in which each rollout takes its time (Maron & Moore,
+"Hoeffding races", NIPS 1994, with a failure as what decides).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
 
 from cgtorch.evolution.fitness import WORST, Evaluation, Evaluator, evaluator
-from cgtorch.graphs import ActionSet, Graphs
+from cgtorch.graphs import ActionSet, Graphs, compacted
 from cgtorch.ground.environment import Environment, Rewarded
 
-FEWEST = 2  # individuals that run on all scenarios
+WAVE = 4  # individuals that run side by side
 
 MakeEvaluator: TypeAlias = Callable[..., Evaluator]
 """Makes the evaluation of individuals, `evaluator` or `race`, from the arguments of `evaluator`."""
 
 
-def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: Any) -> Evaluator:
-    """An evaluation in which half the individuals leave before each doubling of the scenarios.
+@dataclass
+class Runs:
+    """What an individual has done: its scores, successes, and whether it ran, (B,) each."""
 
-    All run on the first scenario, the better half of them on the second, the better half of these
-    on two more, and so on; where nobody has solved anything, only the best goes on. Who has solved
-    everything so far stays, and so does the first individual, which is the best one of earlier
-    generations. Where an individual has not run, it has not succeeded, and its score is 0, or
-    `WORST` with rewards. With some of W (`keep` (B,) bool) there is no race. For the
-    arguments see `cgtorch.evolution.fitness.evaluator`.
+    scores: Tensor
+    succeeded: Tensor
+    ran: Tensor
+
+
+def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: Any) -> Evaluator:
+    """An evaluation in which an individual leaves at its first failure, until one solves all.
+
+    The first individual, which is the best one of earlier generations, meets the scenarios in their
+    order. The others begin with that on which it has failed, `WAVE` individuals at once. As soon as
+    one has solved all scenarios, nobody else runs. What is known of an individual is not run again.
+    Where an individual has not run, it has not succeeded, and its score is 0, or `WORST` with
+    rewards. With some of W (`keep` (B,) bool) there is no race. For the arguments see
+    `cgtorch.evolution.fitness.evaluator`.
     """
-    if keep.any() or len(keep) < 2:
+    if keep.any():
         return evaluator(actions, environment, keep, **about)
-    legs = [
-        (rows, evaluator(actions, environment, keep[rows], scenarios=rows, **about))
-        for rows in _doubling(len(keep), keep.device)
+    alone = [
+        evaluator(actions, environment, keep[row], scenarios=row, **about)
+        for row in torch.arange(len(keep), device=keep.device).split(1)
     ]
     least = WORST if isinstance(environment, Rewarded) else 0.0
+    known: dict[bytes, Runs] = {}
+
+    def unknown(home: torch.device) -> Runs:
+        scores = torch.full((len(keep),), least, device=home)
+        no = torch.zeros_like(scores, dtype=torch.bool)
+        return Runs(scores, no, no.clone())
 
     def evaluation(graphs: Graphs) -> Evaluation:
-        home, count = graphs.start.device, len(graphs)
-        scores = torch.full((count, len(keep)), least, device=home)
-        succeeded = torch.zeros_like(scores, dtype=torch.bool)
-        alive, counts = torch.arange(count, device=home), [0, 0, 0]
-        last, ran = 0, 0
-        for rows, evaluate in legs:
-            if ran:
-                better = scores[alive, :ran].mean(1).argsort(descending=True, stable=True)
-                stays = succeeded[alive, :ran].all(1)
-                solved = bool(succeeded[alive, last:ran].any())
-                stays[better[: max(FEWEST, len(alive) // 2) if solved else 1]] = True
-                stays[0] = True
-                alive = alive[stays]
-            found = evaluate(graphs[alive])
-            scores[alive[:, None], rows.to(home)] = found.scores
-            succeeded[alive[:, None], rows.to(home)] = found.succeeded
-            last, ran = ran, ran + len(rows)
-            more = found.transitions, found.executed, found.not_finite
-            counts = [a + b for a, b in zip(counts, more, strict=True)]
-        return Evaluation(scores.mean(1), scores, succeeded, *counts)
+        home, names, counts = graphs.start.device, contents(graphs), torch.zeros(3).long()
+        runs = [known.setdefault(name, unknown(home)) for name in names]
+
+        def run(rows: Sequence[int], order: Iterable[int]) -> None:
+            """Run individuals on scenarios in an order, each up to its first failure."""
+            for scenario in order:
+                new = [row for row in rows if not runs[row].ran[scenario]]
+                new = list({names[row]: row for row in new}.values())
+                if new:
+                    found = alone[scenario](graphs[torch.tensor(new, device=home)])
+                    for row, score, good in zip(new, found.scores, found.succeeded, strict=True):
+                        runs[row].scores[scenario], runs[row].ran[scenario] = score[0], True
+                        runs[row].succeeded[scenario] = good[0]
+                    counts.add_(torch.tensor([found.transitions, found.executed, found.not_finite]))
+                rows = [row for row in rows if runs[row].succeeded[scenario]]
+                if not rows:
+                    break
+
+        run([0], range(len(keep)))
+        first = int(runs[0].succeeded.long().argmin())
+        order = [first, *(i for i in range(len(keep)) if i != first)]
+        for begin in range(1, len(graphs), WAVE):
+            if any(each.succeeded.all() for each in runs):
+                break
+            run(range(len(graphs))[begin : begin + WAVE], order)
+        scores = torch.stack([each.scores for each in runs])
+        succeeded = torch.stack([each.succeeded for each in runs])
+        return Evaluation(scores.mean(1), scores, succeeded, *counts.tolist())
 
     return evaluation
 
 
-def _doubling(count: int, device: torch.device) -> list[Tensor]:
-    """Indices of 1, 1, 2, 4, ... scenarios, `count` in all."""
-    ends = [1]
-    while ends[-1] < count:
-        ends.append(min(2 * ends[-1], count))
-    begins = [0, *ends[:-1]]
-    return [torch.arange(a, b, device=device) for a, b in zip(begins, ends, strict=True)]
+def contents(graphs: Graphs) -> list[bytes]:
+    """What tells each graph apart, whatever the number of its free slots."""
+    whole = compacted(graphs)
+    tensors, counts = [x.cpu().numpy() for x in vars(whole).values()], whole.num_nodes.tolist()
+    return [
+        b"".join((x[row, :count] if x.ndim > 1 else x[row]).tobytes() for x in tensors)
+        for row, count in enumerate(counts)
+    ]

@@ -31,6 +31,7 @@ from cgtorch.native.gpu import launcher_of
 from cgtorch.simulation import MAX_TRANSITIONS
 
 MIGRANTS = 10  # one individual in so many
+FEW_NEW = 3  # one newcomer in so many remains as soon as a scenario is solved
 
 Environments: TypeAlias = Callable[[int], Environment]
 """Makes the environment of each generation, counted from 0. All have equally many scenarios."""
@@ -139,7 +140,9 @@ def evolve(
             arrivals = _shared(ranks.ring_shift, map(emigrants, evaluated), settings)
             evaluated = [migrated(*pair) for pair in zip(evaluated, arrivals, strict=True)]
         pairs = zip(islands, evaluated, strict=True)
-        islands = [next_state(*pair, settings, actions) for pair in pairs]
+        few = settings.newcomers // FEW_NEW if generation.succeeded.any() else settings.newcomers
+        how = replace(settings, newcomers=few)
+        islands = [next_state(*pair, how, actions) for pair in pairs]
         if callable(environment):
             evaluation = about(environment=environment(generation.number + 1))
 

@@ -227,6 +227,18 @@ class Counting(Protocol):
         ...
 
 
+@runtime_checkable
+class Hurried(Protocol):
+    """An environment in which a search may give up an episode before its end."""
+
+    def hurried(self) -> Environment:
+        """The same scenarios, in which episodes end early where there is little hope.
+
+        What succeeds there succeeds here.
+        """
+        ...
+
+
 def asked_of(environment: Environment) -> Asked:
     """The low-level steps so far; none if the environment does not count any."""
     return environment.asked if isinstance(environment, Counting) else Asked()

@@ -15,11 +15,10 @@ from cgtorch.evolution import (
     evaluator,
     evolve,
     join,
-    mutate,
 )
 from cgtorch.evolution.ask_and_tell import restore
 from cgtorch.evolution.population import random_population, slim
-from cgtorch.graphs import NO_NODE, ActionSet, Graphs, compacted, pruned, resized
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NOTHING, Asked
 from cgtorch.ground.environment import Environment, asked_of
@@ -40,7 +39,6 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.setup import Models, Setup
 
 READABLE = 10  # nodes that a picture shows at a glance
-FEW_NEW = 3  # of half a population, one in so many is new where mutants of a skill are evolved
 SLACK = 1e-3  # of the fitness that a smaller graph may cost
 
 
@@ -59,29 +57,19 @@ def specialist(
     are also the indices (r,) of the largest group, and what it solves of that (r,).
     """
     step, size = name, len(percepts)
-    found: Found | None = None
     order = torch.arange(size)
     if setup.widest > setup.group:
         size = min(setup.group, size)
 
     def environment_of(rows: Tensor) -> Environment:
-        replicas = max(setup.replicas, setup.replicas * setup.group // len(rows))
+        more = 1 if setup.remembers else setup.group // len(rows)
+        replicas = setup.replicas * max(1, more)
         about = models, scenarios[rows], percepts[rows], replicas
         return setup.imagine(*about, setup.generator, setup.device)
 
     while True:
         environment = environment_of(order[:size])
-        if found is not None and setup.remembers:
-            found = _held(setup, found, environment)
-            if not found.solved.all():  # what is missed comes first, so that it decides a race
-                missed_first = found.solved.long().argsort(stable=True)
-                order[:size] = order[:size][missed_first]
-                found = replace(found, solved=found.solved[missed_first])
-                environment = environment_of(order[:size])
-        if found is None or not (setup.remembers and found.solved.all()):
-            new = _searched(setup, step, environment, seeds, found is not None)
-            kept = found is not None and setup.remembers and new.best <= found.best
-            found = found if found is not None and kept else new
+        found = _searched(setup, step, environment, seeds)
         well = bool(found.solved.all()) or found.best >= setup.budget.satisfied
         if size >= len(percepts) or not well:
             break
@@ -94,41 +82,20 @@ def specialist(
     return small, order[:size], found.solved
 
 
-def _held(setup: Setup[Any], found: Found, environment: Environment) -> Found:
-    """What a result solves of a larger group."""
-    nothing = torch.zeros(environment.num_scenarios, dtype=torch.bool, device=setup.device)
-    limit, fitness = setup.max_transitions, setup.evolution.fitness
-    evaluate = evaluator(setup.actions, environment, nothing, limit, fitness=fitness)
-    before = asked_of(environment)
-    result = evaluate(found.champion.graphs)  # by the first rank alone
-    asked = _of_all_ranks(asked_of(environment) - before)
-    held = replace(found, solved=result.succeeded[0], best=float(result.fitness), asked=asked)
-    return _counted(setup, held)
-
-
 def _searched(
-    setup: Setup[Any], name: str, environment: Environment, seeds: Population | None, found: bool
+    setup: Setup[Any], name: str, environment: Environment, seeds: Population | None
 ) -> Found:
-    """The best result of some evolutions from seeds; where rollouts take time, mixed otherwise.
+    """The best result of some evolutions from seeds, half of them new where rollouts take time.
 
-    There, seeds are earlier skills, which few new individuals are like, unless something was
-    `found` that solves a part: then its mutants are most of the population.
+    There, seeds are earlier skills, the last one first, which few new individuals are like.
     """
-    if not setup.remembers:
+    if not setup.remembers or seeds is None:
         return best_of_searches(setup, name, environment, seeds)
-    evolution, actions = setup.evolution, setup.actions
+    evolution = setup.evolution
     half, sizes = evolution.population // 2, (evolution.capacity, evolution.initial_nodes)
-    if found and seeds is not None:
-        shape = evolution.capacity, actions.outcome_capacity, actions.parameter_capacity
-        copies = seeds[torch.arange(half - 1) % len(seeds)]
-        copies = Population(resized(compacted(copies.graphs), *shape), copies.strategy)
-        more = mutate(copies, actions, setup.generator, evolution.tau)
-        setup = replace(setup, evolution=replace(evolution, newcomers=half // FEW_NEW))
-    else:
-        seeds = None if seeds is None else seeds[-half // 2 :]
-        about = actions, *sizes, setup.generator, evolution.strategy
-        more = random_population(half, *about)
-    mixed = more if seeds is None else join(seeds, more)[:half]
+    about = setup.actions, *sizes, setup.generator, evolution.strategy
+    seeds = seeds[torch.arange(len(seeds)).flip(0)[: half // 2]]
+    mixed = join(seeds, random_population(half - len(seeds), *about))
     return best_of_searches(setup, name, environment, slim(mixed))
 
 

@@ -146,7 +146,9 @@ def with_member(setup: Setup[S], state: StageState[S], missed: Tensor) -> StageS
     rows = setup.group_of(state.percepts, missed, most, setup.generator)
     if setup.remembers:
         solved = (~missed).nonzero()[:, 0]
-        rows = torch.cat([rows, near_by(state, rows, solved, setup.widest - len(rows))])
+        near = near_by(state, rows, solved, most - len(rows))
+        # In turns, one is sought that solves what is missed, and one that loses nothing near it.
+        rows = torch.cat([rows, near] if state.number % 2 else [near, rows])
     elif len(rows) < FEWEST:
         solved = (~missed).nonzero()[:, 0]
         some = torch.randperm(len(solved), generator=setup.generator)[:OTHERS]

@@ -45,6 +45,7 @@ def tasks_of(name: str) -> tuple[str, ...]:
 class MetaWorldSimulator(Simulator):
     """Episodes of a task of Meta-World; seeds below 0 are goals of the benchmark, MT1."""
 
+    patience = 120
     seen = 21  # hand, opening, two objects with quaternions, goal
 
     def __init__(self, task: str, horizon: int) -> None:

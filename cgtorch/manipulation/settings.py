@@ -19,7 +19,7 @@ class ManipulationSettings(DomainSettings):
         "generations": 40,
         "practice": 50,
         "max_transitions": 16,
-        "attempts": 8,
+        "attempts": 24,
     }
 
     usual_stage: ClassVar[str] = LAST

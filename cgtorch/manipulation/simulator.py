@@ -1,7 +1,7 @@
 """Episodes of one task of an arm, which continue from any state.
 
 A row describes a state: low-level steps so far, whether the task has been solved, how close it came
-to that, what is seen, and the state of the environment (`cgtorch.manipulation.mujoco_states`). A
+to that, after how many steps it last came closer, what is seen, and the state of the environment (`cgtorch.manipulation.mujoco_states`). A
 control is a segment: the hand moves to a target, at most for a number of low-level steps.
 """
 
@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from cgtorch.manipulation.mujoco_states import MujocoStates
 
-STEPS, SOLVED, CLOSEST, SEEN = range(4)
+STEPS, SOLVED, CLOSEST, CLOSER, SEEN = range(5)
 """Columns of a row; what is seen begins at the last."""
 X, Y, Z, GRIP, LIMIT, SPEED, NEAR = range(7)
 """Columns of a control: a target in m, -1 to open the gripper or 1 to close it, low-level steps at
 most, a share of the full speed, and the distance on each axis, in m, at which the motion ends."""
 STILL, PATIENCE = 0.001, 4
 """A motion ends, too, if the hand moved less than so far, in m, in so many low-level steps."""
+CLEARLY = 0.005  # by which a segment has to come closer
 REMEMBERED = 40_000  # segments, of about 4 kB each
 
 Floats = NDArray[np.float64]
@@ -34,6 +35,8 @@ class Simulator(ABC):
         seen: How many numbers are seen.
         states: The states of the environment.
         at_the_end: Whether a task has to be solved at the last step of an episode, not at any.
+        patience: Low-level steps in which an episode of a search has to come closer to success, so
+            that it goes on; None without a limit.
         gain: The share of full speed per metre that is left.
         simulated: Low-level steps so far.
         requested: Low-level steps so far, those that were remembered included.
@@ -43,6 +46,7 @@ class Simulator(ABC):
 
     seen: int
     at_the_end: bool = False
+    patience: int | None = None
     gain: float = 15.0
     states: MujocoStates
 
@@ -85,7 +89,7 @@ class Simulator(ABC):
     def start(self, seed: int) -> Floats:
         """The row of a start."""
         state, observation = self.states.start(seed)
-        head = [0.0, 0.0, self.closeness(observation)]
+        head = [0.0, 0.0, self.closeness(observation), 0.0]
         return np.concatenate([head, self.perceive(observation), state])
 
     def over(self, row: Floats) -> bool:
@@ -136,5 +140,7 @@ class Simulator(ABC):
                 break
         assert found is not None  # noqa: S101  the last step is looked at
         solved &= not self.at_the_end or row[STEPS] + done >= self.horizon
-        head = [row[STEPS] + done, float(solved), closest]
+        steps = row[STEPS] + done
+        closer = steps if closest > row[CLOSEST] + CLEARLY else row[CLOSER]
+        head = [steps, float(solved), closest, closer]
         return np.concatenate([head, self.perceive(found[0]), self.states.read()])

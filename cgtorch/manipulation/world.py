@@ -1,6 +1,7 @@
 """The world of an arm: states are rows of a simulator, and controls are segments."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,7 @@ from cgtorch.ground.asked import Asked
 from cgtorch.ground.environment import Lanes, ScenarioBatch
 from cgtorch.ground.fields import Field
 from cgtorch.manipulation.arm import Arm
-from cgtorch.manipulation.simulator import CLOSEST, SEEN, SOLVED, STEPS, Simulator
+from cgtorch.manipulation.simulator import CLOSER, CLOSEST, SEEN, SOLVED, STEPS, Floats, Simulator
 
 CONTROL = (
     Field("x", "m"), Field("y", "m"), Field("z", "m"), Field("gripper", low=-1, high=1),
@@ -77,6 +78,13 @@ class ArmWorld(World):
         super().__init__(scenarios)
         self._simulators, self._arm = simulators, arm
         self._size, self._num_ids = size, num_ids
+        self._hurried = False
+
+    def hurried(self) -> "ArmWorld":
+        """See `Hurried.hurried`: here an episode is over that came no closer for some time."""
+        world = copy(self)
+        world._hurried = True
+        return world
 
     @property
     def asked(self) -> Asked:
@@ -95,8 +103,11 @@ class ArmWorld(World):
     def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
         """See `World.next_state`."""
         rows, controls = state.numpy(), control.double().numpy()
-        lanes = zip(self._of(scenario), rows, controls, strict=True)
-        return self._rows([sim.run(row[: sim.size], seed, u) for (sim, seed), row, u in lanes])
+        lanes = list(zip(self._of(scenario), rows, controls, strict=True))
+        after = [sim.run(row[: sim.size], seed, u) for (sim, seed), row, u in lanes]
+        if self._hurried:
+            after = [_hurried(row, sim) for row, ((sim, _), *_) in zip(after, lanes, strict=True)]
+        return self._rows(after)
 
     def succeeded(self, state: Tensor) -> Tensor:
         """See `World.succeeded`."""
@@ -128,3 +139,13 @@ class ArmWorld(World):
         for i, row in enumerate(rows):
             state[i, : len(row)] = row
         return torch.from_numpy(state)
+
+
+def _hurried(row: Floats, simulator: Simulator) -> Floats:
+    """The row, in which the time is over if the episode has come no closer for some time."""
+    most = simulator.patience
+    if most is None or row[SOLVED] or row[STEPS] - row[CLOSER] < most:
+        return row
+    row = row.copy()
+    row[STEPS] = simulator.horizon
+    return row

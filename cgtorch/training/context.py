@@ -23,7 +23,7 @@ from cgtorch.evolution import (
     tournament,
 )
 from cgtorch.ground.asked import Purse
-from cgtorch.ground.environment import Environment
+from cgtorch.ground.environment import Environment, Hurried
 from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.improvement.setup import Budget, Setup
@@ -139,7 +139,7 @@ class Training:
 
     def _looks(self, name: str) -> int:
         """Fresh scenarios to think about; with low-level steps, those to evolve on."""
-        few = self.run.domain.specialists.widest if counting(self.run.domain) else LOOKS
+        few = self.run.domain.specialists.group if counting(self.run.domain) else LOOKS
         return 0 if self._tests_by_rounds(name) else few
 
     @property
@@ -160,7 +160,8 @@ class Training:
             return self.run.models.imagine(knowledge, percepts, replicas, *how)
         copies = [scenarios.with_noise(copy) for copy in range(replicas)]
         rows = torch.arange(replicas * len(scenarios)).view(replicas, -1).T.flatten()
-        return self.run.domain.world(copies[0].joined(*copies[1:])[rows])
+        world = self.run.domain.world(copies[0].joined(*copies[1:])[rows])
+        return world.hurried() if isinstance(world, Hurried) else world
 
 
 def evolution_settings(run: StoredRun) -> EvolutionSettings:
