@@ -4,7 +4,7 @@ So most cost a single rollout, for worlds in which each rollout takes its time (
 "Hoeffding races", NIPS 1994, with a failure as what decides).
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -34,8 +34,9 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
     """An evaluation in which an individual leaves at its first failure, until one solves all.
 
     The first individual, which is the best one of earlier generations, meets the scenarios in their
-    order. The others begin with that on which it has failed, `WAVE` individuals at once. As soon as
-    one has solved all scenarios, nobody else runs. What is known of an individual is not run again.
+    order. The others begin with that on which it has failed, `WAVE` individuals at once. Who fails
+    there, too, but with a higher score, goes on with what the best one has solved. As soon as one
+    has solved all scenarios, nobody else runs. What is known of an individual is not run again.
     Where an individual has not run, it has not succeeded, and its score is 0, or `WORST` with
     rewards. With some of W (`keep` (B,) bool) there is no race. For the arguments see
     `cgtorch.evolution.fitness.evaluator`.
@@ -58,28 +59,33 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
         home, names, counts = graphs.start.device, contents(graphs), torch.zeros(3).long()
         runs = [known.setdefault(name, unknown(home)) for name in names]
 
-        def run(rows: Sequence[int], order: Iterable[int]) -> None:
-            """Run individuals on scenarios in an order, each up to its first failure."""
-            for scenario in order:
-                new = [row for row in rows if not runs[row].ran[scenario]]
-                new = list({names[row]: row for row in new}.values())
-                if new:
-                    found = alone[scenario](graphs[torch.tensor(new, device=home)])
-                    for row, score, good in zip(new, found.scores, found.succeeded, strict=True):
-                        runs[row].scores[scenario], runs[row].ran[scenario] = score[0], True
-                        runs[row].succeeded[scenario] = good[0]
-                    counts.add_(torch.tensor([found.transitions, found.executed, found.not_finite]))
-                rows = [row for row in rows if runs[row].succeeded[scenario]]
-                if not rows:
-                    break
+        def run(rows: Sequence[int], scenario: int) -> None:
+            new = list({names[row]: row for row in rows if not runs[row].ran[scenario]}.values())
+            if not new:
+                return
+            found = alone[scenario](graphs[torch.tensor(new, device=home)])
+            for row, score, good in zip(new, found.scores, found.succeeded, strict=True):
+                runs[row].scores[scenario], runs[row].ran[scenario] = score[0], True
+                runs[row].succeeded[scenario] = good[0]
+            counts.add_(torch.tensor([found.transitions, found.executed, found.not_finite]))
 
-        run([0], range(len(keep)))
-        first = int(runs[0].succeeded.long().argmin())
-        order = [first, *(i for i in range(len(keep)) if i != first)]
+        best = runs[0]
+        for scenario in range(len(keep)):
+            run([0], scenario)
+            if not best.succeeded[scenario]:
+                break
+        solved = best.succeeded.nonzero()[:, 0].tolist()
+        order = [scenario, *(i for i in range(len(keep)) if i != scenario)]
         for begin in range(1, len(graphs), WAVE):
             if any(each.succeeded.all() for each in runs):
                 break
-            run(range(len(graphs))[begin : begin + WAVE], order)
+            rows = list(range(len(graphs))[begin : begin + WAVE])
+            run(rows, scenario)
+            closer = [row for row in rows if best.scores[scenario] < runs[row].scores[scenario]]
+            for where, some in ((order, rows), (solved, closer)):
+                for each in where:
+                    run(some, each)
+                    some = [row for row in some if runs[row].succeeded[each]]
         scores = torch.stack([each.scores for each in runs])
         succeeded = torch.stack([each.succeeded for each in runs])
         return Evaluation(scores.mean(1), scores, succeeded, *counts.tolist())

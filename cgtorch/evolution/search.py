@@ -20,7 +20,7 @@ from cgtorch.evolution import compiled
 from cgtorch.evolution.evolution import EvolutionState, initial_state, next_state
 from cgtorch.evolution.fitness import Evaluation
 from cgtorch.evolution.operators import crossover, mutate
-from cgtorch.evolution.population import Population
+from cgtorch.evolution.population import STRATEGY, Population
 from cgtorch.evolution.selection import Evaluated
 from cgtorch.evolution.settings import EvolutionSettings, check_parts
 from cgtorch.graphs import ActionSet, Graphs, SubSkill, check_action, widened
@@ -32,6 +32,7 @@ from cgtorch.simulation import MAX_TRANSITIONS
 
 MIGRANTS = 10  # one individual in so many
 FEW_NEW = 3  # one newcomer in so many remains as soon as a scenario is solved
+RARELY = 0.05  # the largest rate of each change of structure from then on
 
 Environments: TypeAlias = Callable[[int], Environment]
 """Makes the environment of each generation, counted from 0. All have equally many scenarios."""
@@ -139,10 +140,10 @@ def evolve(
         if count > 1 and (generation.number + 1) % settings.migration == 0:
             arrivals = _shared(ranks.ring_shift, map(emigrants, evaluated), settings)
             evaluated = [migrated(*pair) for pair in zip(evaluated, arrivals, strict=True)]
-        pairs = zip(islands, evaluated, strict=True)
-        few = settings.newcomers // FEW_NEW if generation.succeeded.any() else settings.newcomers
-        how = replace(settings, newcomers=few)
-        islands = [next_state(*pair, how, actions) for pair in pairs]
+        islands = [
+            next_state(island, *_settled(each, result.succeeded, settings), actions)
+            for island, each, result in zip(islands, evaluated, results, strict=True)
+        ]
         if callable(environment):
             evaluation = about(environment=environment(generation.number + 1))
 
@@ -190,6 +191,24 @@ def home_of(settings: EvolutionSettings, actions: ActionSet, device: torch.devic
         return torch.device("cpu")
     few = compiled.within_limits(settings.capacity, actions.outcome_capacity)
     return device if few else torch.device("cpu")
+
+
+def _settled(
+    evaluated: Evaluated, succeeded: Tensor, settings: EvolutionSettings
+) -> tuple[Evaluated, EvolutionSettings]:
+    """The parents and how to breed, given (P, B) what the population has solved.
+
+    With newcomers, as soon as someone in a single population has solved something, all others have
+    no children. These differ in parameters rather than in structure, and newcomers are fewer.
+    """
+    good = succeeded.any(1).nonzero()[:, 0]
+    if not (settings.newcomers and settings.islands == 1 and len(good)):
+        return evaluated, settings
+    some = evaluated.rows(good)
+    strategy = some.population.strategy.clone()
+    strategy[:, : STRATEGY.index("mutate_parameter")].clamp_(max=RARELY)
+    some = replace(some, population=replace(some.population, strategy=strategy))
+    return some, replace(settings, newcomers=settings.newcomers // FEW_NEW)
 
 
 def emigrants(evaluated: Evaluated) -> Evaluated:

@@ -41,6 +41,7 @@ OTHER = 1000  # the number of the other noise
 FIRST = 1.5  # episodes before a stage ends, as a multiple of those to solve in a row
 LONG = 2.5  # successes, as the same multiple, after which half as many in a row are enough
 BATCH = 3  # fresh scenarios of the first batch; later batches double
+LARGEST = 12  # batch where rollouts take time, since a whole one is met at a failure
 
 
 def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Progress[S]:
@@ -217,6 +218,7 @@ def acted(
                 state = replace(state, in_a_row=0)
                 break
             size = 2 * size if state.repeats else 1
+            size = min(size, LARGEST) if setup.remembers else size
             state = replace(state, in_a_row=state.in_a_row + len(fresh))
         missed = state.repeats and bool((state.targets & ~state.keep).any())
         done = not lost and state.in_a_row >= _wanted(setup, state) and not missed

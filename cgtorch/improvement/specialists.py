@@ -62,8 +62,8 @@ def specialist(
         size = min(setup.group, size)
 
     def environment_of(rows: Tensor) -> Environment:
-        more = 1 if setup.remembers else setup.group // len(rows)
-        replicas = setup.replicas * max(1, more)
+        more = 0 if setup.remembers else setup.replicas * setup.group // len(rows)
+        replicas = max(setup.replicas, more)
         about = models, scenarios[rows], percepts[rows], replicas
         return setup.imagine(*about, setup.generator, setup.device)
 

@@ -36,8 +36,12 @@ def raced(scores: Tensor, solved: Tensor, names: list[str]) -> tuple[Tensor, Ten
     for begin in range(1, count, WAVE):
         if (solved & ran).all(1).any():
             break
-        for one in range(begin, min(count, begin + WAVE)):
+        wave = range(begin, min(count, begin + WAVE))
+        for one in wave:
             all(meets(one, scenario) for scenario in order)
+        for one in wave:
+            if scores[one, first] > scores[0, first]:
+                all(meets(one, scenario) for scenario in range(first))
     return scores * ran, solved & ran, ran
 
 

@@ -15,7 +15,7 @@ from support import model, random_graphs, seeded
 from torch import Tensor
 from watched import along, first_stage, of_kind, stage_of, state_of, without_models
 
-from cgtorch.evolution import Population, evaluator, initial_strategy
+from cgtorch.evolution import Population, evaluator, initial_strategy, join
 from cgtorch.graphs import valid
 from cgtorch.improvement import specialists
 from cgtorch.improvement.checkpoint import Found
@@ -24,7 +24,7 @@ from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Budget
 from cgtorch.improvement.specialists import READABLE, SLACK, _without_each, shrunk
 from cgtorch.improvement.team import FEWEST, OTHERS, with_member
-from cgtorch.improvement.trial import first_percepts, try_skill
+from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
 
@@ -205,38 +205,39 @@ def test_every_node_goes_once_for_every_other() -> None:
     assert (missing >= n - 1).all()
 
 
-def test_what_is_missed_comes_first_where_rollouts_take_time() -> None:
-    """A result that holds on more is not evolved again, and a worse one is not taken."""
-    scenarios = random_scenarios("perimeter", 60, seeded(5))
-    skill = nearly(0.3)
-    solved = try_skill(skill, world_of(scenarios)).succeeded
-    good, bad = solved.nonzero()[:, 0], (~solved).nonzero()[:, 0]
-    rows = torch.cat([good[:4], bad[:2], good[4:6]])
-    some, champion = scenarios[rows], Population(skill.graph, initial_strategy(1))
-    told = list[tuple[str, list[int]]]()
+def test_where_rollouts_take_time_what_is_missed_and_what_is_not_come_first_in_turns() -> None:
+    """The group is filled up with the nearest, no start is doubled, and the newest seed leads."""
+    scenarios = random_scenarios("perimeter", 20, seeded(5))
+    which, told = torch.arange(20) % 5 == 0, list[tuple[list[int], int, Population | None]]()
 
     def imagine(models: None, group: Scenarios, percepts: Tensor, count: int, *_: Any) -> Any:
-        world: Any = in_the_world(models, group, percepts, count)
-        world.group = group.seed.tolist()
-        return world
+        told.append((group.seed.tolist(), count, None))
+        return in_the_world(models, group, percepts, count)
 
     def evolved(stage: Any, name: str, environment: Any, seeds: Any = None, **how: Any) -> Found:
-        told.append((name, environment.group))
-        best = 0.9 if len(told) == 1 else 0.1
-        everything = torch.full((environment.num_scenarios,), len(told) == 1)
-        return Found(champion, everything, best)
+        told.append((*told.pop()[:2], seeds))
+        champion = Population(nearly(0.3).graph, initial_strategy(1))
+        return Found(champion, torch.arange(environment.num_scenarios) < 3, 0.5)
 
+    old, new = (Population(nearly(by).graph, initial_strategy(1)) for by in (0.1, 0.2))
+    state = state_of(scenarios, (nearly(0.1),))
+    state = replace(state, population=join(old, new))
+    how = {"group": 12, "widest": 0, "replicas": 1, "searches": 1, "remembers": True}
+    setup = stage_of(replace(without_models(**how), imagine=imagine))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(specialists, "evolve_candidate", evolved)
-        how = {"group": 2, "widest": 8, "replicas": 1, "searches": 1, "remembers": True}
-        setup = replace(without_models(**how), imagine=imagine)
-        percepts = first_percepts(world_of(some))
-        graphs, where, found = specialists.specialist(
-            stage_of(setup), "a", None, some, percepts, None
-        )
-    seeds = some.seed.tolist()
-    assert told[0] == ("a", seeds[:2])
-    assert told[1:] == [("a on 8", [*seeds[4:6], *seeds[:4], *seeds[6:]])]
-    assert where.tolist() == [4, 5, 0, 1, 2, 3, 6, 7]
-    assert found.tolist() == [False, False, *[True] * 6]
-    assert graphs is champion
+        for number in (1, 2):
+            after = with_member(setup, replace(state, number=number), which)
+    (first, count, seeds), (then, *_) = told
+    place = [scenarios.seed.tolist().index(seed) for seed in first]
+    assert which[place].tolist() == [True] * 4 + [False] * 8
+    assert sorted(then) == sorted(first)
+    place = [scenarios.seed.tolist().index(seed) for seed in then]
+    assert which[place].tolist() == [False] * 8 + [True] * 4
+    assert after.outcomes[place, 1].tolist() == [1] * 3 + [-1] * 9
+    assert count == 1
+    assert seeds is not None
+    assert len(seeds) == setup.evolution.population // 2
+    for row, one in enumerate((new, old)):
+        size = one.graphs.capacity
+        assert torch.equal(seeds.graphs.parameters[row, :size], one.graphs.parameters[0])
