@@ -140,10 +140,12 @@ def evolve(
         if count > 1 and (generation.number + 1) % settings.migration == 0:
             arrivals = _shared(ranks.ring_shift, map(emigrants, evaluated), settings)
             evaluated = [migrated(*pair) for pair in zip(evaluated, arrivals, strict=True)]
-        islands = [
-            next_state(island, *_settled(each, result.succeeded, settings), actions)
-            for island, each, result in zip(islands, evaluated, results, strict=True)
-        ]
+        how = settings
+        if settings.newcomers and generation.succeeded.any():
+            how = replace(settings, newcomers=settings.newcomers // FEW_NEW)
+            evaluated = [_settled(each) for each in evaluated]
+        pairs = zip(islands, evaluated, strict=True)
+        islands = [next_state(*pair, how, actions) for pair in pairs]
         if callable(environment):
             evaluation = about(environment=environment(generation.number + 1))
 
@@ -193,22 +195,11 @@ def home_of(settings: EvolutionSettings, actions: ActionSet, device: torch.devic
     return device if few else torch.device("cpu")
 
 
-def _settled(
-    evaluated: Evaluated, succeeded: Tensor, settings: EvolutionSettings
-) -> tuple[Evaluated, EvolutionSettings]:
-    """The parents and how to breed, given (P, B) what the population has solved.
-
-    With newcomers, as soon as someone in a single population has solved something, all others have
-    no children. These differ in parameters rather than in structure, and newcomers are fewer.
-    """
-    good = succeeded.any(1).nonzero()[:, 0]
-    if not (settings.newcomers and settings.islands == 1 and len(good)):
-        return evaluated, settings
-    some = evaluated.rows(good)
-    strategy = some.population.strategy.clone()
+def _settled(evaluated: Evaluated) -> Evaluated:
+    """The individuals, whose children differ in parameters rather than in structure."""
+    strategy = evaluated.population.strategy.clone()
     strategy[:, : STRATEGY.index("mutate_parameter")].clamp_(max=RARELY)
-    some = replace(some, population=replace(some.population, strategy=strategy))
-    return some, replace(settings, newcomers=settings.newcomers // FEW_NEW)
+    return replace(evaluated, population=replace(evaluated.population, strategy=strategy))
 
 
 def emigrants(evaluated: Evaluated) -> Evaluated:

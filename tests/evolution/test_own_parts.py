@@ -19,12 +19,10 @@ from cgtorch.evolution import (
     lexicase,
     mutate,
     tell,
-    tournament,
 )
 from cgtorch.evolution.operators import crossover
 from cgtorch.evolution.population import random_graphs
-from cgtorch.evolution.search import FEW_NEW, RARELY, _settled
-from cgtorch.evolution.selection import Evaluated
+from cgtorch.evolution.search import FEW_NEW, RARELY
 from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned, widened
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import Rollouts, rollout
@@ -246,30 +244,17 @@ def test_newcomers_are_random_graphs_in_place_of_children(newcomers: int) -> Non
     assert torch.allclose(seeded_ones[15:], torch.tensor(0.4))
 
 
-def test_as_soon_as_something_is_solved_only_those_who_solved_it_have_children() -> None:
-    """There are fewer newcomers then, and children differ in parameters rather than in structure."""
-    settings = replace(SMALL, newcomers=12, strategy=(0.9,) * 7 + (0.5,), selection=tournament(1))
-    solved = torch.zeros(30, 5, dtype=torch.bool)
-    state = initial_state(settings, ACTIONS, seeded(0))
-    evaluated = Evaluated(state.population, torch.arange(30.0), torch.zeros(30, 5))
-    assert _settled(evaluated, solved, settings) == (evaluated, settings)
-    solved[[3, 8], 2] = True
-    parents, how = _settled(evaluated, solved, settings)
-    assert parents.fitness.tolist() == [3.0, 8.0]
-    assert how == replace(settings, newcomers=12 // FEW_NEW)
-    assert torch.allclose(parents.population.strategy[:, :6], torch.tensor(RARELY))
-    assert torch.allclose(parents.population.strategy[:, 6:], torch.tensor([0.9, 0.5]))
-    for other in (replace(settings, newcomers=0), replace(settings, islands=2)):
-        assert _settled(evaluated, solved, other) == (evaluated, other)
-
-
 def test_an_evolution_settles_where_something_is_solved() -> None:
-    """Its second population has children of the solvers, and a third of the newcomers."""
+    """Its newcomers are a third then, and children differ in parameters rather than structure."""
     settings = replace(SMALL, newcomers=12, strategy=(0.9,) * 7 + (0.5,))
     first, second = islice(evolve(model(0, 5), ACTIONS, settings, seeded(0)), 2)
     assert first.succeeded.any()
     strategies = second.population.strategy
-    assert (strategies[:, 0] < 0.2).sum() == 30 - 12 // FEW_NEW
+    assert (strategies[:, 0] < 3 * RARELY).sum() == 30 - 12 // FEW_NEW
+    assert (strategies[:, 6] > 3 * RARELY).all()
+    never = replace(settings, newcomers=0)
+    second = list(islice(evolve(model(0, 5), ACTIONS, never, seeded(0)), 2))[1]
+    assert (second.population.strategy[:, 0] > 3 * RARELY).all()
 
 
 @pytest.mark.parametrize(
