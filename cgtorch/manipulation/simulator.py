@@ -1,8 +1,9 @@
 """Episodes of one task of an arm, which continue from any state.
 
 A row describes a state: low-level steps so far, whether the task has been solved, how close it came
-to that, after how many steps it last came closer, what is seen, and the state of the environment (`cgtorch.manipulation.mujoco_states`). A
-control is a segment: the hand moves to a target, at most for a number of low-level steps.
+to that, after how many steps it last came closer, what is seen, and the state of the environment
+(`cgtorch.manipulation.mujoco_states`). A control is a segment: the hand moves to a target, at most
+for a number of low-level steps.
 """
 
 from abc import ABC, abstractmethod

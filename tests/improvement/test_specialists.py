@@ -10,7 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from members import nearly
-from reaching import in_the_world, world_of
+from reaching import in_the_world
 from support import model, random_graphs, seeded
 from torch import Tensor
 from watched import along, first_stage, of_kind, stage_of, state_of, without_models
@@ -24,7 +24,6 @@ from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Budget
 from cgtorch.improvement.specialists import READABLE, SLACK, _without_each, shrunk
 from cgtorch.improvement.team import FEWEST, OTHERS, with_member
-from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
 
