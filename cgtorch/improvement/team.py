@@ -146,7 +146,7 @@ def with_member(setup: Setup[S], state: StageState[S], missed: Tensor) -> StageS
     rows = setup.group_of(state.percepts, missed, most, setup.generator)
     if setup.remembers:
         solved = (~missed).nonzero()[:, 0]
-        near = near_by(state, rows, solved, most - len(rows))
+        near = near_by(state, rows, solved, min(OTHERS, most - len(rows)))
         # In turns, one is sought that solves what is missed, and one that loses nothing near it.
         rows = torch.cat([rows, near] if state.number % 2 else [near, rows])
     elif len(rows) < FEWEST:

@@ -17,7 +17,7 @@ class ManipulationSettings(DomainSettings):
         "models": "none",
         "population": 24,
         "generations": 40,
-        "practice": 100,
+        "practice": 75,
         "max_transitions": 16,
         "attempts": 24,
     }
