@@ -39,7 +39,7 @@ def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *g
         raise error(f"{who} raised {reason(e)}{failed_at(e)}, tried with two rows") from e
 
 
-def failed_at(e: Exception) -> str:
+def failed_at(e: BaseException) -> str:
     """Where the user's code failed, such as " in line 12 of wave.py"; "" if that is not known."""
     others = {Path(__file__).resolve().parents[1], *LIBRARIES}
     for frame in reversed(traceback.extract_tb(e.__traceback__)):
@@ -49,7 +49,7 @@ def failed_at(e: Exception) -> str:
     return ""
 
 
-def reason(e: Exception) -> str:
+def reason(e: BaseException) -> str:
     """The message of an exception, in one short line."""
     return f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
 

@@ -251,15 +251,6 @@ def test_rewards_are_tried() -> None:
     assert "Own's world.over raised KeyError: 0 in line " in refused(bad)
 
 
-def test_rows_that_were_changed_in_place_are_told() -> None:
-    def next_state(self: Rail, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
-        state[:, 0] += 1
-        return state
-
-    with pytest.raises(WorldError, match=r"Track.step \(.*\) changed lanes\.\w+ in place"):
-        check_domain(rail_with(next_state=next_state), "any")
-
-
 def test_noise_is_known_by_its_method() -> None:
     class Gusts(Carts):
         def with_noise(self, copy: int) -> Any:
