@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeVar
 import click
 
 from cgtorch.commands import completion
-from cgtorch.ground.errors import CgtorchError, RunError
+from cgtorch.ground.errors import CgtorchError, RunError, WorldError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -65,7 +65,8 @@ def run_command(command: click.Command) -> None:
         called = name if context is None else context.command_path
         _end(called, f"{e.format_message().rstrip('.')}; see {called} --help", 2)
     except CgtorchError as e:
-        _end(name, str(e), 1 if isinstance(e, RuntimeError) else 2)
+        notes = getattr(e, "__notes__", ()) if isinstance(e, WorldError) else ()
+        _end(name, "; ".join([str(e), *notes]), 1 if isinstance(e, RuntimeError) else 2)
     except (KeyboardInterrupt, click.Abort, ctypes.ArgumentError) as e:
         # ctypes raises an error of its own for a Ctrl-C in its midst.
         if isinstance(e, ctypes.ArgumentError) and KeyboardInterrupt.__name__ not in str(e):
@@ -76,7 +77,7 @@ def run_command(command: click.Command) -> None:
         where = f" {str(e.filename)[:200]!r}" if e.filename else ""
         reason = e.strerror or type(e).__name__
         _end(name, f"cannot read or write{where} ({reason}); check the path and the disk", 2)
-    except Exception as e:
+    except (Exception, SystemExit) as e:
         _end_in_foreign_code(name, e)
         raise
     finally:
@@ -94,7 +95,7 @@ def _report_thread(thread: threading.ExceptHookArgs) -> None:
         threading.__excepthook__(thread)
 
 
-def _end_in_foreign_code(name: str, error: Exception) -> None:
+def _end_in_foreign_code(name: str, error: BaseException) -> None:
     """End the command if the error comes from code of the user's own; else return."""
     if "torch" in sys.modules:  # without it, nothing of the user's has been called
         from cgtorch.ground.dry_run import failed_at, reason

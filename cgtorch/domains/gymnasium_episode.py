@@ -56,11 +56,12 @@ class Episode:
         seen, gained, *ends, info = self._asked("step", lambda: self.environment.step(action), STEP)
         self.keys.append((self.keys[-1] * PRIME + crc32(control)) % KEYS)
         try:
-            reward, over = float(gained), any(map(bool, ends))
+            reward, over = float(gained), sum(map(float, ends)) > 0
         except (TypeError, ValueError):
+            said = kind((gained, *ends))
             raise WorldError(
-                f"{self.where} gave reward {gained!r:.40}, terminated {ends[0]!r:.20}, truncated "
-                f"{ends[1]!r:.20}; Gymnasium expects a number, and true or false twice"
+                f"{self.where} gave reward, terminated and truncated as {said}; Gymnasium expects "
+                "a number, and true or false twice"
             ) from None
         if not math.isfinite(reward):
             raise WorldError(f"{self.where} gave reward {reward}; give finite rewards")
@@ -87,9 +88,9 @@ class Episode:
         """What a method returns, its first part as numbers; WorldError if it has another form."""
         try:
             found = call()
-        except CgtorchError:
+        except (CgtorchError, KeyboardInterrupt):
             raise
-        except (Exception, SystemExit) as e:
+        except BaseException as e:  # SystemExit, too, as it would end the program without a word
             place = failed_at(e)
             inside = place or not isinstance(e, TypeError)
             advice = "correct it there" if inside else f"declare it as {METHODS[method]}"
@@ -104,9 +105,9 @@ class Episode:
             numbers = self.percepts.of(seen)
             finite = np.isfinite(numbers)
         except Exception as e:  # whatever Gymnasium raises for a value of another space
-            said = f" ({reason(e)})" if str(e) else ""
             raise WorldError(
-                f"{self.where} showed {seen!r:.60}{said}; make it a member of its observation_space"
+                f"{self.where} showed {kind(seen)} ({reason(e)}); make it a member of its "
+                "observation_space"
             ) from e
         if not finite.all():
             at = int(finite.argmin())

@@ -49,9 +49,10 @@ class Episodes:
         first, self._limit, self.threshold = self._made()
         self._having = {0: first}  # the environments of episodes, the last one used last
         self._played = dict[int, Episode]()
-        name, self._actions = settings.environment, first.action_space
-        self.percepts = percepts_of(first.observation_space, settings.percepts, name)
-        self.controls = controls_of(first.action_space, name)
+        name, self._actions = settings.environment, _space(first, "action_space")
+        seen = _space(first, "observation_space")
+        self.percepts = percepts_of(seen, settings.percepts, name)
+        self.controls = controls_of(self._actions, name)
         self.batch = 0
         self._starts: dict[int, tuple[Any, NDArray[Any]]] = {}
 
@@ -158,6 +159,19 @@ class Episodes:
             made = _wrapped(spec, wrap, made)
         own = None if threshold is None else float(threshold)
         return made, float("inf") if self._wrappers else limit, own
+
+
+def _space(environment: Any, name: str) -> Any:
+    """A space of an environment; DomainError if it is none of Gymnasium's."""
+    from gymnasium import Space
+
+    space = getattr(environment, name, None)
+    if not isinstance(space, Space):
+        raise DomainError(
+            f"environment {environment!s:.60} has {name} {space!r:.60}; set one of Gymnasium's "
+            "spaces in its constructor"
+        )
+    return space
 
 
 def _wrapper(spec: str) -> Callable[[Any], Any]:

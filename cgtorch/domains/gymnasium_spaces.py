@@ -93,7 +93,7 @@ class Percepts:
     left_out: tuple[str, ...]
 
     def of(self, observation: Any) -> NDArray[Any]:
-        """The numbers (D,) of an observation, copied; ValueError if a part has another size."""
+        """The numbers (D,) of an observation, copied; ValueError for other ones."""
         from gymnasium.spaces import Box, flatten
 
         found = list[NDArray[Any]]()
@@ -101,6 +101,8 @@ class Percepts:
             value = part.of(observation)
             own = isinstance(part.space, Box)  # whose numbers stay of their type
             numbers = np.array(value if own else flatten(part.space, value))
+            if numbers.dtype.kind not in "biuf":
+                raise ValueError(f"{part.name} is of type {numbers.dtype}")
             if own and numbers.size != math.prod(part.space.shape):
                 raise ValueError(f"{part.name} has {numbers.size} numbers, not {part.space!s:.60}")
             found.append(numbers.ravel())

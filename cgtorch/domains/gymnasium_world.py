@@ -17,6 +17,7 @@ from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import WorldError
 
 STEPS, RETURN, OVER, SLOT, BATCH, KEY, SOLVED, BEST = range(8)  # columns of a lane's state
+HUGE = 1e38  # beyond which a return is not finite in float32
 MOST_UNSOLVED = 0.45  # of the success of what has not succeeded
 
 
@@ -158,6 +159,11 @@ class Played(GymnasiumWorld):
             seen, reward, over, info = episode.play(action, own.tobytes())
             percepts.append(seen)
             told = self._told(steps, more, reward, info, episode.where)
+            if not abs(gained + reward) < HUGE:
+                raise WorldError(
+                    f"{episode.where} comes to a return of {gained + reward:g}; give rewards whose "
+                    f"sums are below {HUGE:g}"
+                )
             common = steps + 1, gained + reward, over or self._ends(told), slot, batch
             after.append([*common, episode.keys[-1], *told])
         return torch.tensor(after, dtype=torch.float64), np.array(percepts)

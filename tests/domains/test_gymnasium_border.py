@@ -8,12 +8,13 @@ import pytest
 import torch
 from support import seeded
 
+from cgtorch.domains.check import check_domain
 from cgtorch.domains.gymnasium import Gymnasium, scaling_of
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import controls_of, tried
 from cgtorch.domains.registry import make_domain
 from cgtorch.ground.environment import start_lanes
-from cgtorch.ground.errors import WorldError
+from cgtorch.ground.errors import DomainError, WorldError
 
 gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.spaces import Box, Dict, Discrete, Tuple  # noqa: E402
@@ -63,6 +64,13 @@ def raising(error: BaseException) -> Change:
     return fail
 
 
+class MumbledError(Exception):
+    """An error that cannot be printed."""
+
+    def __str__(self) -> str:
+        raise ValueError("no words")
+
+
 def later(change: Any) -> Change:
     """Something else from the third step on."""
     return lambda line: change if line.steps > 2 else np.array([line.place, 0.5])
@@ -83,14 +91,17 @@ def later(change: Any) -> Change:
             {"seen": later(np.zeros(3))},
             r"in step 3 .* has 3 numbers, not Box\(-9.0.*; make it a m",
         ),
-        ({"seen": later("here")}, r"in step 3 after .* showed 'here'.*make it a member"),
+        ({"seen": later("here")}, r"in step 3 .* showed a str .*of type <U4.*make it"),
         ({"reward": lambda line: np.nan}, r"in step 1 .* gave reward nan; give finite rewards"),
         ({"reward": lambda line: np.inf}, "gave reward inf; give finite"),
         (
             {"reward": lambda line: np.ones(2)},
-            r"gave reward array\(\[1\., 1\.\]\).* expects a number",
+            r"gave reward.* as \(a ndarray, a bool, a bool\); Gymnasium expects a number",
         ),
-        ({"over": lambda line: np.zeros(2)}, r"terminated array\(.* true or false twice"),
+        ({"over": lambda line: np.zeros(2)}, r"as \(a float, a ndarray, a bool\).* true or false"),
+        ({"over": lambda line: "no"}, r"as \(a float, a str, a bool\)"),
+        ({"seen": lambda line: np.array([1j, 0])}, r"in reset.* a ndarray .*of type complex128"),
+        ({"reward": raising(MumbledError())}, r"in step 1 .* raised MumbledError in line"),
         ({"info": lambda line: None}, "in step 1 .* returned a NoneType as info; .* a dict"),
         (
             {"step": lambda line: (0, 0.0, True, {})},
@@ -146,6 +157,42 @@ def test_what_goes_wrong_in_a_training_is_told_with_its_seed(
     monkeypatch.setattr(Line, "changes", {"reward": lambda line: 1 / (line.np_random_seed - seed)})
     with pytest.raises(WorldError, match=rf"in step 2 after reset\(seed={seed}\) raised ZeroDiv"):
         world.step(lanes, torch.zeros(3, 1))
+
+
+def test_returns_that_are_too_large_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    domain = domain_of(monkeypatch, {"reward": lambda line: 7e37})
+    world = domain.world(domain.draw("starts", 1, seeded(0)))
+    lanes = start_lanes(world, torch.arange(1), 1, 0)
+    lanes, _ = world.step(lanes, torch.zeros(1, 1))
+    with pytest.raises(WorldError, match=r"in step 2 .* a return of 1\.4e\+38; .* below 1e\+38"):
+        world.step(lanes, torch.zeros(1, 1))
+
+
+@pytest.mark.parametrize("bad", [None, 3])
+def test_what_is_no_space_is_told(monkeypatch: pytest.MonkeyPatch, bad: Any) -> None:
+    def init(self: Line) -> None:
+        own(self)
+        self.action_space = bad
+
+    own = Line.__init__
+    monkeypatch.setattr(Line, "__init__", init)
+    with pytest.raises(DomainError, match=f"has action_space {bad}; set one of Gymnasium's spaces"):
+        domain_of(monkeypatch, {})
+
+
+@pytest.mark.parametrize("what", ["reward", "seen"])
+def test_an_environment_that_does_not_repeat_itself_is_told(
+    monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    chance = np.random.default_rng(0)
+
+    def different(line: Line) -> Any:
+        late = chance.uniform() if line.steps > 1 else 0.0
+        return late if what == "reward" else np.array([line.place, late])
+
+    domain = domain_of(monkeypatch, {what: different})
+    with pytest.raises(DomainError, match="gave something else when it was called twice"):
+        check_domain(domain, "starts")
 
 
 @pytest.mark.parametrize("good", [np.nan, "yes", np.zeros(2)])
