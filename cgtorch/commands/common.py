@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeVar
 import click
 
 from cgtorch.commands import completion
-from cgtorch.ground.errors import CgtorchError, RunError, WorldError
+from cgtorch.ground.errors import CgtorchError, RunError, WorldError, printable
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -55,7 +55,11 @@ def run_command(command: click.Command) -> None:
     name = command.name or "cgtorch"
     # A thread that cannot write, such as TensorBoard's, stops the command, which says so once.
     previous, threading.excepthook = threading.excepthook, _report_thread
-    terminates = signal.signal(signal.SIGTERM, _interrupt)
+    signals = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+    before = {each: signal.getsignal(each) for each in signals}
+    for each in signals:
+        if before[each] != signal.SIG_IGN:  # as nohup does
+            signal.signal(each, _interrupt)
     try:
         command.main(prog_name=name, standalone_mode=False)
     except click.exceptions.Exit as e:
@@ -74,7 +78,8 @@ def run_command(command: click.Command) -> None:
         notes = (getattr(each, "__notes__", ()) for each in (e, e.__cause__))  # click wraps errors
         _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
     except OSError as e:
-        where = f" {str(e.filename)[:200]!r}" if e.filename else ""
+        name_of = os.fsdecode(e.filename) if isinstance(e.filename, bytes) else e.filename
+        where = f" {str(name_of)[:200]!r}" if name_of else ""
         reason = e.strerror or type(e).__name__
         _end(name, f"cannot read or write{where} ({reason}); check the path and the disk", 2)
     except (Exception, SystemExit) as e:
@@ -82,11 +87,12 @@ def run_command(command: click.Command) -> None:
         raise
     finally:
         threading.excepthook = previous
-        signal.signal(signal.SIGTERM, terminates)
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    """Treat a request to terminate like Ctrl-C."""
+    """Treat a request to terminate, or a terminal that is closed, like Ctrl-C."""
     raise KeyboardInterrupt
 
 
@@ -105,8 +111,13 @@ def _end_in_foreign_code(name: str, error: BaseException) -> None:
             _end(name, "; ".join(notes), 1)
 
 
+def say(line: str) -> None:
+    """Print a line of a result, as text: what is foreign in it cannot control a terminal."""
+    click.echo(printable(line))
+
+
 def _end(name: str, message: str, code: int) -> NoReturn:
-    click.echo(f"{name}: {' '.join(message.split())}", err=True)
+    click.echo(printable(f"{name}: {' '.join(message.split())}"), err=True)
     sys.exit(code)
 
 
@@ -249,7 +260,7 @@ def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Cal
             progress.remove_task(within.pop(what))
 
     with progress, listening(show):
-        task = progress.add_task(message, total=total)
+        task = progress.add_task(printable(message), total=total)
         yield lambda more: progress.advance(task, more)
 
 

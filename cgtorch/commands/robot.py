@@ -113,7 +113,7 @@ def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: An
     with common.waiting(f"fitting shapes to {urdf}", rest["quiet"]):
         made = make_robot_folder(urdf, output, wishes, package_path)
     for line in _summary(made, output):
-        click.echo(line)
+        common.say(line)
 
 
 def _arm(text: str) -> Any:
