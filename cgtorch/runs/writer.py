@@ -32,7 +32,8 @@ _held = set[int]()
 def sole_writer(folder: Path) -> Iterator[None]:
     """A context in which no other process, and nobody else in this one, writes to a run.
 
-    The first rank holds the lock for all. RunError if another has it, or the file cannot be made.
+    The first rank holds the lock for all. RunError if another has it, the file cannot be made,
+    or the folder goes away meanwhile.
     """
     failure, file = "", -1
     if ranks.first():
@@ -43,6 +44,13 @@ def sole_writer(folder: Path) -> Iterator[None]:
         if said := ranks.broadcast(failure):
             raise RunError(said)
         yield
+    except OSError as e:
+        if file in _held and not folder.is_dir():
+            raise RunError(
+                f"run {str(folder)!r} is no longer there{_now_at(file)}; continue it at its new "
+                "place (Run.resume, --resume), or bring it back"
+            ) from e
+        raise
     finally:
         if file in _held:
             fcntl.flock(file, fcntl.LOCK_UN)  # also for forked processes that have the file
@@ -80,6 +88,15 @@ def _about(said: bytes) -> str:
         return f"process {int(about['process'])} on {about['machine']!s:.40} since {since}"
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError, OSError):
         return "another process"
+
+
+def _now_at(file: int) -> str:
+    """Where the folder of an open file is now, if the system tells."""
+    with suppress(OSError):
+        place = Path(os.readlink(f"/proc/self/fd/{file}"))
+        if place.exists():
+            return f" but at {str(place.parent)!r}"
+    return ""
 
 
 def _let_go() -> None:

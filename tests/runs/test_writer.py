@@ -93,3 +93,26 @@ def test_a_forked_process_does_not_hold_the_lock_of_its_parent(tmp_path: Path) -
 def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"cannot write '.*none' \(No such file"):
         enter(tmp_path / "none")
+
+
+FAILURES = [RunError("cannot write"), FileNotFoundError("gone"), ValueError("odd")]
+
+
+@pytest.mark.parametrize("error", FAILURES, ids=str)
+def test_where_a_folder_is_that_was_renamed_is_told(tmp_path: Path, error: Exception) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+
+    def write(rename: bool) -> None:
+        with sole_writer(first):
+            if rename:
+                first.rename(second)
+            raise error
+
+    first.mkdir()
+    with pytest.raises(type(error), match=f"^{error}$"):
+        write(rename=False)
+    moved = r"first' is no longer there but at '.*second'; continue it at its new place"
+    with pytest.raises(
+        (RunError, ValueError), match=moved if isinstance(error, OSError) else "odd"
+    ):
+        write(rename=True)

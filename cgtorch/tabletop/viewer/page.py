@@ -136,6 +136,8 @@ class Page:
     def _run(self, scenario: Scenarios) -> None:
         """Run the chosen skills on a scenario and show them from the start."""
         names = [n for n in (self.skill.value, self.against.value) if n in self.candidates]
+        if not names:
+            return  # as no such page was served
         chosen = [self.candidates[name] for name in names]
         timelines = [_timeline(candidate, scenario) for candidate in chosen]
         self.scenario = scenario
@@ -246,7 +248,7 @@ class Page:
                 return
             due = int((time.monotonic() - self.clock) * FPS * self._speed())
             self.frame.value = min(due, int(self.frame.max))
-            if self.frame.value >= self.frame.max:
+            if self._picture() >= self.frame.max:
                 self.pause()
 
     def _dragged(self, event: Any) -> None:
@@ -264,10 +266,9 @@ def _note(*lines: tuple[str, str]) -> str:
     return "".join(line.format(*map(printable, each)) for each in lines)
 
 
-def _within(value: Any, low: float, high: float) -> float:
-    """A number that a browser has sent, within bounds; the lower one for what is no number."""
-    found = float(value) if isinstance(value, int | float | np.number) else low
-    return min(max(found, low), high) if math.isfinite(found) else low
+def _within(value: float, low: float, high: float) -> float:
+    """A number that a browser has sent, within bounds; the lower one if it is not finite."""
+    return min(max(float(value), low), high) if math.isfinite(value) else low
 
 
 def _timeline(candidate: Candidate, scenario: Scenarios) -> Timeline:
