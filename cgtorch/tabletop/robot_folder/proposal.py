@@ -13,8 +13,14 @@ from trimesh import transformations
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, at_rest, checked_urdf
-from cgtorch.tabletop.robot_folder.structure import (
+from cgtorch.tabletop.robot_folder.chains import (
+    ARM,
     LEAST_JOINTS,
+    chains_of,
+    slides_upright,
+    told,
+)
+from cgtorch.tabletop.robot_folder.structure import (
     Array,
     Structure,
     Tool,
@@ -29,7 +35,6 @@ OFF_FLOOR = 0.02  # m that the lowest point may be from the base frame's plane
 LOW = 0.5  # m: shapes that begin below are seen by the footprint
 ABOVE_WHEELS = 0.3  # m: no arm reaches shapes that end below
 SHOULDER = 1.0  # m above the floor, where a torso holds its arms
-UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
 
 
 @dataclass(frozen=True)
@@ -79,13 +84,11 @@ def propose(
     for name in wishes.held:
         urdf.joint(name)
     urdf.model.update_cfg(_at_rest(structure, set()) | dict(wishes.held))
-    hands = [_hand_of(structure, arm) for arm in wishes.arms] or structure.hands()
-    if not hands:
-        raise RobotError(
-            f"URDF {str(urdf.path)!r} has no chain of {LEAST_JOINTS} joints or more from "
-            f"{base!r} to a hand: name the arms by --arm NAME=BASE_LINK:TOOL_FRAME"
-        )
-    shared, chains = _chains(structure, hands)
+    if wishes.arms:
+        hands = [_hand_of(structure, arm) for arm in wishes.arms]
+        shared, chains = _chains(structure, hands)
+    else:
+        hands, shared, chains = _found(structure, notes)
     opened = {k: v for hand in hands for k, v in open_fingers(structure, hand).items()}
     torso = _torso(structure, shared, chains, wishes)
     in_arms = {joint.name for chain in chains for joint in chain}
@@ -177,6 +180,23 @@ def _at_rest(structure: Structure, others: set[str]) -> dict[str, float]:
     }
 
 
+def _found(structure: Structure, notes: list[str]) -> tuple[list[str], list[Any], list[list[Any]]]:
+    """The hands of the arms that are found, the joints of their torso, and those of each arm."""
+    every = chains_of(structure)
+    arms = [chain for chain in every if chain.kind == ARM]
+    others = told(every)
+    if not arms:
+        raise RobotError(
+            f"URDF {str(structure.urdf.path)!r} has no chain of {LEAST_JOINTS} joints or more from "
+            f"a body or torso to a hand{f' (no arms: {others})' if others else ''}: name the arms "
+            "by --arm NAME=BASE_LINK:TOOL_FRAME"
+        )
+    if others:
+        notes.append(f"no arms: {others}; name them by --arm if that is wrong")
+    shared = {joint.name: joint for arm in arms for joint in arm.joints[: arm.shared]}
+    return [arm.link for arm in arms], list(shared.values()), [list(arm.own) for arm in arms]
+
+
 def _hand_of(structure: Structure, arm: Arm) -> str:
     """The first link of the rigid body of an arm's tool frame."""
     joints = structure.urdf.joints_between(arm.base_link, arm.tool_frame)
@@ -192,14 +212,9 @@ def _chains(structure: Structure, hands: list[str]) -> tuple[list[Any], list[lis
         while len({path[count].name for path in paths if len(path) > count}) == 1:
             count += 1
     for i, joint in enumerate(paths[0][: len(paths[0]) - LEAST_JOINTS]):
-        if i >= count and _slides_upright(structure, joint):
+        if i >= count and slides_upright(structure, joint):
             count = i + 1
     return paths[0][:count], [path[count:] for path in paths]
-
-
-def _slides_upright(structure: Structure, joint: Any) -> bool:
-    axis = structure.pose(joint.child)[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
-    return joint.type == "prismatic" and abs(float(axis[2])) > UPRIGHT
 
 
 def _torso(
@@ -207,7 +222,7 @@ def _torso(
 ) -> str | None:
     if wishes.torso_joint is not None:
         return str(structure.urdf.joint(wishes.torso_joint).name) if wishes.torso_joint else None
-    slides = [joint.name for joint in shared if _slides_upright(structure, joint)]
+    slides = [joint.name for joint in shared if slides_upright(structure, joint)]
     return slides[-1] if slides else None
 
 
