@@ -20,6 +20,7 @@ TOLD = 3  # joints of a chain that is no arm from which it is told
 ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
 FINGERS = ((9, 0.2), (4, 0.3))  # the most joints of a finger, and how far it reaches at most, m
 JAW = 0.6  # of the reach of a jaw, that of what it closes against
+ASIDE = 0.2  # of its reach, how far its middle is from its axis at least
 ACROSS = 0.5  # cosine of its axis to the way to its tip
 DOWN = 0.6  # of the reach of a leg, how far below its begin the floor is
 NEAR = 0.5  # of the farthest reach of a chain, that of one that is no arm
@@ -140,7 +141,10 @@ def _is_jaw(structure: Structure, link: str, joint: Any) -> bool:
     if not len(jaw) or not len(other):
         return len(other) > 0  # what moves nothing that is seen is no wrist
     middle = jaw.mean(axis=0)
-    way = middle / max(float(np.linalg.norm(middle)), 1e-9)
+    aside = float(np.linalg.norm(middle))
+    if aside < ASIDE * float(np.linalg.norm(jaw, axis=1).max()):
+        return False  # it lies around its axis
+    way = middle / aside
     turned = abs(float(pose[:3, :3] @ np.asarray(joint.axis, dtype=np.float64) @ way))
     return bool(turned < ACROSS and (other @ way).max() >= JAW * (jaw @ way).max())
 
