@@ -55,13 +55,13 @@ def run_command(command: click.Command) -> None:
     name = command.name or "cgtorch"
     # A thread that cannot write, such as TensorBoard's, stops the command, which says so once.
     previous, threading.excepthook = threading.excepthook, _report_thread
-    signals = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
-    before = {each: signal.getsignal(each) for each in signals}
-    for each in signals:
-        if before[each] != signal.SIG_IGN:  # as nohup does
+    names = (each for each in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, each))
+    before = {each: signal.getsignal(each) for each in map(signal.Signals.__getitem__, names)}
+    for each, handler in before.items():
+        if handler != signal.SIG_IGN:  # as nohup does
             signal.signal(each, _interrupt)
     try:
-        command.main(prog_name=name, standalone_mode=False)
+        _call(command, name)
     except click.exceptions.Exit as e:
         sys.exit(e.exit_code)
     except click.ClickException as e:
@@ -91,8 +91,29 @@ def run_command(command: click.Command) -> None:
             signal.signal(each, handler)
 
 
+_interrupts = list[int]()
+"""The signals that have come since the command began."""
+
+
+def _call(command: click.Command, name: str) -> None:
+    """Run a command; what fails after an interrupt was interrupted, whatever it says.
+
+    In the midst of a library's own code, an interrupt can come out as another error.
+    """
+    _interrupts.clear()
+    try:
+        command.main(prog_name=name, standalone_mode=False)
+    except (click.exceptions.Exit, click.Abort):
+        raise
+    except Exception as e:
+        if _interrupts:
+            raise KeyboardInterrupt from e
+        raise
+
+
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     """Treat a request to terminate, or a terminal that is closed, like Ctrl-C."""
+    _interrupts.append(number)
     raise KeyboardInterrupt
 
 

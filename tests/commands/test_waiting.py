@@ -5,7 +5,7 @@ import errno
 import io
 import signal
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from functools import partial
 
 import click
@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from cgtorch.commands.common import resumable, run_command, say, waiting
+from cgtorch.ground.errors import SettingsError
 from cgtorch.native.processes import counted
 
 
@@ -56,9 +57,18 @@ def in_the_midst_of_ctypes() -> None:
     function(1)
 
 
+def swallowed_by_a_library() -> None:
+    """An interrupt that a library turns into another error, of which another is made."""
+    with suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGTERM)
+    raise SettingsError("URDF is refused (unsupported operand); correct it")
+
+
 @pytest.mark.parametrize(
     "happens",
     [
+        lambda: signal.raise_signal(signal.SIGINT),
+        swallowed_by_a_library,
         lambda: signal.raise_signal(signal.SIGTERM),
         lambda: signal.raise_signal(signal.SIGHUP),
         in_the_midst_of_ctypes,

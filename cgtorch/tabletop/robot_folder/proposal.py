@@ -1,6 +1,7 @@
 """Proposing a robot description from a URDF: base, footprint, torso, arms, hands and body."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -29,6 +30,8 @@ from cgtorch.tabletop.robot_folder.structure import (
 )
 
 FLOOR_LINK = "base_footprint"
+WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+VIRTUAL = 2  # slides of a link without a body, from which they are a virtual base
 PLACES = ("world", "map", "odom")
 """Names of root links that do not belong to the robot."""
 OFF_FLOOR = 0.02  # m that the lowest point may be from the base frame's plane
@@ -104,6 +107,13 @@ def propose(
         urdf, arms = _arms(structure, hands, chains, notes)
         structure = Structure(urdf, base, corners)
         urdf.model.update_cfg(held if torso is None else {**held, torso: position})
+    for arm, chain in zip(arms, chains, strict=True):
+        if chain and not any(len(structure.points(n)) for n in structure.hanging(chain[0].child)):
+            raise RobotError(
+                f"URDF {str(urdf.path)!r}: nothing of arm {arm.name!r}, from joint "
+                f"{chain[0].name!r} on, has a shape: add collision or visual shapes, by which it "
+                "is seen what the arm touches"
+            )
     moved = {name for chain in chains for name in structure.hanging(chain[0].child)}
     body = wishes.body or _body(structure, moved)
     words = RobotDescription(
@@ -125,9 +135,10 @@ def _base(structure: Structure, wishes: Wishes, notes: list[str]) -> tuple[Urdf,
     urdf, base = structure.urdf, structure.base
     if wishes.base_frame is not None:
         return urdf, str(urdf.link(wishes.base_frame).name)
+    base = _without_virtual(structure, notes)
     if base in PLACES and len(structure.below[base]) == 1:
         base = structure.below[base][0].child
-        structure = replace(structure, base=base)
+    structure = replace(structure, base=base)
     urdf.model.update_cfg(_at_rest(structure, set()))
     known = [link for link in structure.rigid(base) if "footprint" in link]
     if known:
@@ -158,6 +169,26 @@ def _base(structure: Structure, wishes: Wishes, notes: list[str]) -> tuple[Urdf,
     pose[2, 3] = -ground
     _add_frame(root, name, base, pose, above=True)
     return checked_urdf(urdf.path, root), name
+
+
+def _without_virtual(structure: Structure, notes: list[str]) -> str:
+    """The link below the joints by which a URDF lets its base drive, if it has two such slides."""
+    link, virtual = structure.base, list[Any]()
+    while len(structure.below[link]) == 1 and not _has_body(structure, link):
+        joint = structure.below[link][0]
+        virtual += [joint] if joint.type in MOVING else []
+        link = joint.child
+    slides = [j for j in virtual if j.type == "prismatic" and not slides_upright(structure, j)]
+    if len(slides) < VIRTUAL:
+        return structure.base
+    names = ", ".join(joint.name for joint in virtual)
+    notes.append(f"{names} are taken for how the base drives, so that {link!r} is the base")
+    return link
+
+
+def _has_body(structure: Structure, link: str) -> bool:
+    inertial = structure.urdf.link(link).inertial
+    return bool(len(structure.seen([link]))) or bool(inertial is not None and inertial.mass)
 
 
 def _add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False) -> None:
@@ -267,9 +298,24 @@ def _where(tool: Tool) -> str:
 
 
 def _names(structure: Structure, chains: list[list[Any]]) -> list[str]:
-    """Left and right for two arms side by side, else numbers."""
+    """Left and right as all their links are named, or for two arms side by side; else numbers."""
     if len(chains) == 1:
         return ["arm"]
+    sides = [{_side(joint.child) for joint in chain} for chain in chains]
+    if sorted(map(sorted, sides)) == [["left"], ["right"]]:
+        return [next(iter(side)) for side in sides]
+    return _numbered(structure, chains)
+
+
+def _side(link: str) -> str:
+    """The side in a link's name, "left" or "right"; "" if there is none or both."""
+    words = {word.lower() for word in WORD.findall(link)}
+    found = [side for side in ("left", "right") if words & {side, side[0]}]
+    return found[0] if len(found) == 1 else ""
+
+
+def _numbered(structure: Structure, chains: list[list[Any]]) -> list[str]:
+    """Left and right for two arms side by side, else numbers."""
     sides = [float(structure.pose(chain[0].child)[1, 3]) for chain in chains]
     if len(chains) == 2 and min(sides) < 0 < max(sides):
         return ["left" if side > 0 else "right" for side in sides]
