@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeVar
 import click
 
 from cgtorch.commands import completion
-from cgtorch.ground.errors import CgtorchError, RunError
+from cgtorch.ground.errors import CgtorchError, RunError, WorldError, printable
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -55,9 +55,13 @@ def run_command(command: click.Command) -> None:
     name = command.name or "cgtorch"
     # A thread that cannot write, such as TensorBoard's, stops the command, which says so once.
     previous, threading.excepthook = threading.excepthook, _report_thread
-    terminates = signal.signal(signal.SIGTERM, _interrupt)
+    names = (each for each in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, each))
+    before = {each: signal.getsignal(each) for each in map(signal.Signals.__getitem__, names)}
+    for each, handler in before.items():
+        if handler != signal.SIG_IGN:  # as nohup does
+            signal.signal(each, _interrupt)
     try:
-        command.main(prog_name=name, standalone_mode=False)
+        _call(command, name)
     except click.exceptions.Exit as e:
         sys.exit(e.exit_code)
     except click.ClickException as e:
@@ -65,7 +69,8 @@ def run_command(command: click.Command) -> None:
         called = name if context is None else context.command_path
         _end(called, f"{e.format_message().rstrip('.')}; see {called} --help", 2)
     except CgtorchError as e:
-        _end(name, str(e), 1 if isinstance(e, RuntimeError) else 2)
+        notes = getattr(e, "__notes__", ()) if isinstance(e, WorldError) else ()
+        _end(name, "; ".join([str(e), *notes]), 1 if isinstance(e, RuntimeError) else 2)
     except (KeyboardInterrupt, click.Abort, ctypes.ArgumentError) as e:
         # ctypes raises an error of its own for a Ctrl-C in its midst.
         if isinstance(e, ctypes.ArgumentError) and KeyboardInterrupt.__name__ not in str(e):
@@ -73,19 +78,42 @@ def run_command(command: click.Command) -> None:
         notes = (getattr(each, "__notes__", ()) for each in (e, e.__cause__))  # click wraps errors
         _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
     except OSError as e:
-        where = f" {str(e.filename)[:200]!r}" if e.filename else ""
+        name_of = os.fsdecode(e.filename) if isinstance(e.filename, bytes) else e.filename
+        where = f" {str(name_of)[:200]!r}" if name_of else ""
         reason = e.strerror or type(e).__name__
         _end(name, f"cannot read or write{where} ({reason}); check the path and the disk", 2)
-    except Exception as e:
+    except (Exception, SystemExit) as e:
         _end_in_foreign_code(name, e)
         raise
     finally:
         threading.excepthook = previous
-        signal.signal(signal.SIGTERM, terminates)
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+
+_interrupts = list[int]()
+"""The signals that have come since the command began."""
+
+
+def _call(command: click.Command, name: str) -> None:
+    """Run a command; what fails after an interrupt was interrupted, whatever it says.
+
+    In the midst of a library's own code, an interrupt can come out as another error.
+    """
+    _interrupts.clear()
+    try:
+        command.main(prog_name=name, standalone_mode=False)
+    except (click.exceptions.Exit, click.Abort):
+        raise
+    except Exception as e:
+        if _interrupts:
+            raise KeyboardInterrupt from e
+        raise
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    """Treat a request to terminate like Ctrl-C."""
+    """Treat a request to terminate, or a terminal that is closed, like Ctrl-C."""
+    _interrupts.append(number)
     raise KeyboardInterrupt
 
 
@@ -94,7 +122,7 @@ def _report_thread(thread: threading.ExceptHookArgs) -> None:
         threading.__excepthook__(thread)
 
 
-def _end_in_foreign_code(name: str, error: Exception) -> None:
+def _end_in_foreign_code(name: str, error: BaseException) -> None:
     """End the command if the error comes from code of the user's own; else return."""
     if "torch" in sys.modules:  # without it, nothing of the user's has been called
         from cgtorch.ground.dry_run import failed_at, reason
@@ -104,8 +132,13 @@ def _end_in_foreign_code(name: str, error: Exception) -> None:
             _end(name, "; ".join(notes), 1)
 
 
+def say(line: str) -> None:
+    """Print a line of a result, as text: what is foreign in it cannot control a terminal."""
+    click.echo(printable(line))
+
+
 def _end(name: str, message: str, code: int) -> NoReturn:
-    click.echo(f"{name}: {' '.join(message.split())}", err=True)
+    click.echo(printable(f"{name}: {' '.join(message.split())}"), err=True)
     sys.exit(code)
 
 
@@ -248,7 +281,7 @@ def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Cal
             progress.remove_task(within.pop(what))
 
     with progress, listening(show):
-        task = progress.add_task(message, total=total)
+        task = progress.add_task(printable(message), total=total)
         yield lambda more: progress.advance(task, more)
 
 

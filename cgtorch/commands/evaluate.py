@@ -102,18 +102,18 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
         }
         click.echo(json.dumps(result))
         return
-    click.echo(f"{skill.name} on {kind}: {_as_text(own)}")
+    common.say(f"{skill.name} on {kind}: {_as_text(own)}")
     for name, share in measures.items():
-        click.echo(f"{name}: {_as_text(share)}")
+        common.say(f"{name}: {_as_text(share)}")
     if score.returns is not None:
-        click.echo(_returns_as_text(score, domain.target_return))
+        common.say(_returns_as_text(score, domain.target_return))
     if predicted is not None:
-        click.echo(
+        common.say(
             f"the models predicted robust success on {predicted['tried']} of {score.tried}, "
             f"of which {predicted['succeeded']} succeeded in the world, {_confidence(predicted)}"
         )
     if noise is not None:
-        click.echo(f"W under other noise, when it was accepted: {_as_text(noise)}")
+        common.say(f"W under other noise, when it was accepted: {_as_text(noise)}")
 
 
 def _of_run(

@@ -68,7 +68,7 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **abo
         run, part, data = stored_data(path, about["name"], about["actions"], about["domain"])
         write_data(output, data, run.domain.percept, run.domain.control)
         counts = f"{len(data.percept)} transitions and {len(data.tested)} tests"
-        click.echo(f"data of {part}: {output}, {counts}")
+        common.say(f"data of {part}: {output}, {counts}")
         return
     from cgtorch.export import FORMATS as WRITERS
     from cgtorch.export import SIZED
@@ -80,7 +80,7 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **abo
     with common.waiting(f"exporting {chosen.skill.name} as {form}", quiet):
         written = WRITERS[form](chosen.skill, **sizes)
     write_bytes(output, written)
-    click.echo(f"{chosen.skill.name} as {form}: {output}, {len(written)} bytes")
+    common.say(f"{chosen.skill.name} as {form}: {output}, {len(written)} bytes")
 
 
 main = partial(common.run_command, command)

@@ -43,7 +43,7 @@ def command(
     with common.waiting(f"drawing {run}", quiet):
         page = report_page(read_run(run, actions, domain))
     write_bytes(output, page)
-    click.echo(f"{run} as a page: {output}, {len(page)} bytes")
+    common.say(f"{run} as a page: {output}, {len(page)} bytes")
 
 
 main = partial(common.run_command, command)

@@ -113,7 +113,7 @@ def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: An
     with common.waiting(f"fitting shapes to {urdf}", rest["quiet"]):
         made = make_robot_folder(urdf, output, wishes, package_path)
     for line in _summary(made, output):
-        click.echo(line)
+        common.say(line)
 
 
 def _arm(text: str) -> Any:
@@ -160,7 +160,8 @@ def _summary(made: "Made", folder: Path) -> Iterator[str]:
             f"{sum(volumes) / len(volumes):.2f} times the volume of convex hulls (mean; "
             f"{max(volumes):.2f} of {worst})"
         )
-    yield "\nPlease check:"
+    yield ""
+    yield "Please check:"
     yield f"- x leads forward in {folder / 'robot.png'}, and the dashed footprint holds the body"
     yield "- tool frames lie between the finger tips: red (x) along the approach, green (y) across"
     yield from (f"- {note}" for note in made.notes)
@@ -169,10 +170,9 @@ def _summary(made: "Made", folder: Path) -> Iterator[str]:
     for each in made.meshes:
         if each.fit is None:
             yield f"- link {each.link} is not drawn: {each.problem}"
-    yield (
-        f"- of {len(made.grasps)} objects on a table right before the robot it can grasp "
-        f"{int(made.grasps.sum())}"
-    )
+    grasps, why = made.reached.grasps, made.reached.why
+    line = f"- of {len(grasps)} objects on a table right before the robot it can grasp "
+    yield f"{line}{int(grasps.sum())}{f': {why}' if why else ''}"
 
 
 main = partial(common.run_command, command)

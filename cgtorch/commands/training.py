@@ -22,6 +22,7 @@ from cgtorch.training.session import (
     Work,
     begun,
     carry_out,
+    continued,
     prepared,
     resumed,
 )
@@ -32,8 +33,8 @@ def begin(
     folder: Path, settings: RunSettings, own: DomainSettings, request: TrainingRequest, quiet: bool
 ) -> None:
     """Begin a run, again if it has produced nothing yet, or continue one with the same settings."""
-    run = begun(folder, settings, with_name(settings.domain, own), request)
-    _train(prepared(run, settings, request), quiet)
+    with begun(folder, settings, with_name(settings.domain, own), request) as run:
+        _train(prepared(run, settings, request), quiet)
 
 
 def carry_on(
@@ -44,7 +45,9 @@ def carry_on(
     quiet: bool,
 ) -> None:
     """Continue a run under its settings. Given settings must equal them, except `overrides`."""
-    _train(prepared(run, resumed(run, given, overrides), request), quiet)
+    settings = resumed(run, given, overrides)
+    with continued(run):
+        _train(prepared(run, settings, request), quiet)
 
 
 def _train(work: Work, quiet: bool) -> None:

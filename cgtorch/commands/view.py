@@ -100,7 +100,7 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
     wish = Wish(chosen.skill.name, against, chosen.kind, count, seed)
     page, address = open_page(candidates, wish, rest["host"], rest["port"])
     with suppress(KeyboardInterrupt):
-        click.echo(f"{chosen.skill.name} at work: {address} (Ctrl-C ends it)")
+        common.say(f"{chosen.skill.name} at work: {address} (Ctrl-C ends it)")
         play_for_ever(page)
 
 
@@ -136,7 +136,7 @@ def _film(
             "'rgb_array', and the tabletop in physics (--world mujoco)"
         )
     write_bytes(film, data)
-    click.echo(f"{skill.name} ends in {made.end}: {film}, {len(data)} bytes")
+    common.say(f"{skill.name} ends in {made.end}: {film}, {len(data)} bytes")
 
 
 def _folder(path: Path, chosen: "Chosen") -> Path:

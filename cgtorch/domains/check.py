@@ -46,11 +46,14 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
         )
     world: Environment = returned(DomainError, f"{who}.world", domain.world, drawn[1])
     check_environment(world)
+    if isinstance(world, Rewarded):
+        _check_rewards(world, who)
     repeats = domain.repeats and repeats_itself(world)
     if isinstance(world, Rewarded) and not repeats:
         raise DomainError(
             f"{who} gives rewards, and its world gave something else when it was called twice with "
-            "the same arguments; noise belongs to a scenario, so draw its numbers in Domain.draw"
+            "the same arguments; noise belongs to a scenario, so draw it in Domain.draw, or in an "
+            "environment of Gymnasium from self.np_random"
         )
     for name, size in (("percept", world.percept_size), ("control", world.control_size)):
         if (given := len(getattr(domain, name))) != size:
@@ -61,8 +64,6 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
         name, state = f"{type(world).__name__}.succeeded", world.start(two_rows(ROWS))[0]
         succeeded = returned(DomainError, name, world.succeeded, state)
         expect(DomainError, name, "", succeeded, (ROWS,), torch.bool)
-    if isinstance(world, Rewarded):
-        _check_rewards(world, who)
     actions = returned(DomainError, f"{who}.actions", domain.actions)
     if not isinstance(actions, ActionSet):
         raise DomainError(f"{who}.actions returned {kind(actions)}; return an ActionSet")

@@ -41,7 +41,7 @@ from cgtorch.ground.files import read_json, write_json
 FILE = "gymnasium.json"
 LOOKS = 20  # random episodes that tell the scale of numbers without bounds
 STEPS = 200  # of each at most
-EVEN = 1e-6  # the largest spread of numbers that do not vary
+EVEN = 1e-9  # the largest spread of numbers that do not vary, as a share of the largest
 FAMILIAR = ("is_success", "success")
 """Names in the info of a step that tell of success in many environments."""
 
@@ -215,7 +215,8 @@ class Gymnasium(Domain[Starts]):
             others = f"only {', '.join(seen.infos)}" if seen.infos else "as infos were empty"
             remark = f"No info of {LOOKS} random episodes has {name}, {others}."
         mean, spread = float(seen.rewards.mean()), float(seen.rewards.std())
-        about = s.success_at == "last", mean, spread if spread > EVEN else 1.0
+        varies = spread > EVEN * abs(seen.rewards).max()
+        about = s.success_at == "last", mean, spread if varies else 1.0
         return Known(scaling, Success(name, *about), remark=remark)
 
     def _target(self) -> float | None:
@@ -250,5 +251,8 @@ def scaling_of(percepts: NDArray[Any]) -> Scaling:
     close to 0.
     """
     seen = torch.from_numpy(percepts).double()
-    spread = seen.std(0)
-    return Scaling(seen.mean(0), torch.where(spread > EVEN, spread, 1.0))
+    exponent = torch.frexp(seen.abs().amax(0)).exponent
+    share = torch.ldexp(seen, -exponent)  # of a size whose squares are neither infinite nor 0
+    spread = share.std(0)
+    centre, scale = torch.ldexp(share.mean(0), exponent), torch.ldexp(spread, exponent)
+    return Scaling(centre, torch.where(spread > EVEN, scale, 1.0))

@@ -7,61 +7,22 @@ given to another episode.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cgtorch.domains.gymnasium_episode import Episode
 from cgtorch.domains.gymnasium_film import Filmed
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of
+from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of, tried
 from cgtorch.domains.registry import NOT_FOUND, foreign
 from cgtorch.ground.errors import DomainError, WorldError
 
 MOST = 64
 """Number of environments at once; see docs/decisions/interface.md."""
-PRIME = 1_000_003
-KEYS = 2**48  # so that keys are whole numbers in float64
-
-
-@dataclass
-class Episode:
-    """One episode in progress, which is over after at most `limit` steps.
-
-    `keys` identify the sequence of actions that led to each step; the first is that of the start.
-    """
-
-    environment: Any
-    seed: int
-    limit: float = float("inf")
-    actions: list[Any] = field(default_factory=list)
-    keys: list[int] = field(default_factory=list)
-
-    def begin(self) -> Any:
-        """Start again; returns the first observation."""
-        self.actions, self.keys = [], [self.seed % KEYS]
-        return self.environment.reset(seed=self.seed)[0]
-
-    def play(self, action: Any, control: bytes = b"") -> tuple[Any, float, bool, Any]:
-        """The observation and reward after an action, whether the episode is over, and the info.
-
-        The action was made from `control`, by which it is known again.
-        """
-        seen, reward, terminated, truncated, info = self.environment.step(action)
-        self.actions.append((action, control))
-        self.keys.append((self.keys[-1] * PRIME + crc32(control)) % KEYS)
-        over = bool(terminated or truncated or len(self.actions) >= self.limit)
-        return seen, float(reward), over, info
-
-    def replay(self, steps: int) -> None:
-        """Play again up to a step."""
-        before = self.actions[:steps]
-        self.begin()
-        for one in before:
-            self.play(*one)
 
 
 @dataclass(frozen=True)
@@ -88,9 +49,10 @@ class Episodes:
         first, self._limit, self.threshold = self._made()
         self._having = {0: first}  # the environments of episodes, the last one used last
         self._played = dict[int, Episode]()
-        name, self._actions = settings.environment, first.action_space
-        self.percepts = percepts_of(first.observation_space, settings.percepts, name)
-        self.controls = controls_of(first.action_space, name)
+        name, self._actions = settings.environment, _space(first, "action_space")
+        seen = _space(first, "observation_space")
+        self.percepts = percepts_of(seen, settings.percepts, name)
+        self.controls = controls_of(self._actions, name)
         self.batch = 0
         self._starts: dict[int, tuple[Any, NDArray[Any]]] = {}
 
@@ -112,13 +74,13 @@ class Episodes:
     def begin(self, seeds: list[int]) -> list[NDArray[Any]]:
         """The first percepts (D,), not scaled, of a batch of episodes with these seeds."""
         self.batch += 1
-        return [self.percepts.of(self._begun(i, seed)) for i, seed in enumerate(seeds)]
+        return [self._begun(i, seed) for i, seed in enumerate(seeds)]
 
     def first(self, seed: int) -> tuple[Any, NDArray[Any]]:
         """The environment's own state and the percept at the start of an episode."""
         known = self._starts.get(seed)
         if known is None:
-            percept = self.percepts.of(self._begun(0, seed))
+            percept = self._begun(0, seed)
             known = np.array(self._having[0].unwrapped.state), percept
             self._starts[seed] = known
         return known
@@ -145,21 +107,23 @@ class Episodes:
     def explored(self, count: int, most: int) -> Explored:
         """What `count` episodes with random actions show, with at most `most` steps in each."""
         percepts, rewards, infos = list[NDArray[Any]](), list[float](), set[str]()
-        self._actions.seed(0)
+        actions = tried(self._actions)
+        actions.seed(0)
         for seed in range(count):
-            percepts.append(self.percepts.of(self._begun(0, seed)))
+            percepts.append(self._begun(0, seed))
             for _ in range(most):
-                seen, reward, over, info = self._played[0].play(self._actions.sample())
-                percepts.append(self.percepts.of(seen))
+                seen, reward, over, info = self._played[0].play(actions.sample())
+                percepts.append(seen)
                 rewards.append(reward)
                 infos.update(info)
                 if over:
                     break
         return Explored(np.stack(percepts), np.array(rewards), tuple(sorted(infos)))
 
-    def _begun(self, slot: int, seed: int) -> Any:
-        """Begin an episode; returns its first observation."""
-        self._played[slot] = Episode(self._environment(slot), seed, self._limit)
+    def _begun(self, slot: int, seed: int) -> NDArray[Any]:
+        """Begin an episode; returns its first percept."""
+        about = self._settings.environment, self._environment(slot), self.percepts
+        self._played[slot] = Episode(*about, seed, self._limit)
         return self._played[slot].begin()
 
     def _environment(self, slot: int) -> Any:
@@ -195,6 +159,19 @@ class Episodes:
             made = _wrapped(spec, wrap, made)
         own = None if threshold is None else float(threshold)
         return made, float("inf") if self._wrappers else limit, own
+
+
+def _space(environment: Any, name: str) -> Any:
+    """A space of an environment; DomainError if it is none of Gymnasium's."""
+    from gymnasium import Space
+
+    space = getattr(environment, name, None)
+    if not isinstance(space, Space):
+        raise DomainError(
+            f"environment {environment!s:.60} has {name} {space!r:.60}; set one of Gymnasium's "
+            "spaces in its constructor"
+        )
+    return space
 
 
 def _wrapper(spec: str) -> Callable[[Any], Any]:

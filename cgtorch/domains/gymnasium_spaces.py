@@ -1,5 +1,6 @@
 """Spaces of Gymnasium as fields: the numbers of observations, and actions from numbers."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -12,6 +13,7 @@ from cgtorch.ground.errors import DomainError
 from cgtorch.ground.fields import Field
 
 LISTED = 12  # names in an error
+FAR = 1e30  # beyond which a bound is none
 
 
 @dataclass(frozen=True)
@@ -91,16 +93,21 @@ class Percepts:
     left_out: tuple[str, ...]
 
     def of(self, observation: Any) -> NDArray[Any]:
-        """The numbers (D,) of an observation."""
+        """The numbers (D,) of an observation, copied; ValueError for other ones."""
         from gymnasium.spaces import Box, flatten
 
         found = list[NDArray[Any]]()
         for part in self.parts:
             value = part.of(observation)
             own = isinstance(part.space, Box)  # whose numbers stay of their type
-            found.append(np.ravel(value if own else np.asarray(flatten(part.space, value))))
-        numbers: NDArray[Any] = np.concatenate(found) if len(found) > 1 else found[0]
-        return numbers if self.columns is None else numbers[self.columns]
+            numbers = np.array(value if own else flatten(part.space, value))
+            if numbers.dtype.kind not in "biuf":
+                raise ValueError(f"{part.name} is of type {numbers.dtype}")
+            if own and numbers.size != math.prod(part.space.shape):
+                raise ValueError(f"{part.name} has {numbers.size} numbers, not {part.space!s:.60}")
+            found.append(numbers.ravel())
+        every: NDArray[Any] = np.concatenate(found) if len(found) > 1 else found[0]
+        return every if self.columns is None else every[self.columns]
 
 
 def percepts_of(space: Any, patterns: Sequence[str], environment: str) -> Percepts:
@@ -177,10 +184,10 @@ def controls_of(space: Any, environment: str) -> Controls:
         fields += own
     if not fields:
         raise DomainError(
-            f"environment {environment!r} has actions {space!s:.200}; only numbers and choices can "
-            "be controls"
+            f"environment {environment!r} has actions {space!s:.200}; only numbers and choices "
+            "that vary can be controls"
         )
-    if decoders[0][0].space is space:
+    if decoders[0][0].space is space:  # it has no parts
         return Controls(tuple(fields), decoders[0][2])
 
     def actions(control: NDArray[Any]) -> list[Any]:
@@ -211,10 +218,8 @@ def _decoded(part: Part, environment: str) -> tuple[list[Field], Decoder]:
         names = [f"for {name} {i + 1}" for i in range(int(space.n))]
         return _preferences(names), lambda control: control.argmax(1) + start
     if isinstance(space, Box):
-        ends = _places(space.shape), space.low.flat, space.high.flat
-        fields = [
-            Field(f"{name}{p}", low=float(a), high=float(b)) for p, a, b in zip(*ends, strict=True)
-        ]
+        ends = zip(_places(space.shape), _low(space).flat, _high(space).flat, strict=True)
+        fields = [Field(f"{name}{p}", low=float(a), high=float(b)) for p, a, b in ends if a < b]
         return fields, lambda control: _bounded(space, control)
     if isinstance(space, MultiBinary):
         names = [f"for {name}{place}" for place in _places(tuple(space.shape))]
@@ -233,9 +238,37 @@ def _preferences(names: list[str]) -> list[Field]:
     return [Field(f"preference {name}", low=-1, high=1) for name in names]
 
 
+def _low(space: Any) -> NDArray[Any]:
+    """The lower bounds of a Box; -inf where they are as far away as none."""
+    return np.where(space.bounded_below & (space.low > -FAR), space.low, -np.inf)
+
+
+def _high(space: Any) -> NDArray[Any]:
+    """The upper bounds of a Box; inf where they are as far away as none."""
+    return np.where(space.bounded_above & (space.high < FAR), space.high, np.inf)
+
+
+def tried(space: Any) -> Any:
+    """The space of actions of random episodes: of Boxes without bounds that are as far as none.
+
+    Gymnasium draws numbers without bounds near 1, and others uniformly within them.
+    """
+    from gymnasium.spaces import Box, Dict, Tuple
+
+    if isinstance(space, Dict):
+        return Dict({key: tried(s) for key, s in space.items()})
+    if isinstance(space, Tuple):
+        return Tuple([tried(s) for s in space.spaces])
+    floats = isinstance(space, Box) and np.issubdtype(space.dtype, np.floating)
+    return Box(_low(space), _high(space), dtype=space.dtype) if floats else space
+
+
 def _bounded(space: Any, control: NDArray[Any]) -> NDArray[Any]:
-    """Values of a Box from its numbers (n, U)."""
-    shaped = control.reshape(-1, *space.shape)
+    """Values of a Box from its numbers (n, U), of which it lacks those that cannot vary."""
+    low = space.low.ravel().astype(np.float64)
+    values = np.tile(low, (len(control), 1))
+    values[:, low < space.high.ravel()] = control
+    shaped = values.reshape(-1, *space.shape)
     within: NDArray[Any] = shaped.clip(space.low, space.high).astype(space.dtype)
     return within
 

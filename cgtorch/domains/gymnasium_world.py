@@ -1,6 +1,8 @@
 """Gymnasium environments as a world of lanes, with returns or with success."""
 
+import math
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,11 +11,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from cgtorch.domains.gymnasium_episodes import KEYS, MOST, Episodes
+from cgtorch.domains.gymnasium_episode import KEYS
+from cgtorch.domains.gymnasium_episodes import MOST, Episodes
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import WorldError
 
 STEPS, RETURN, OVER, SLOT, BATCH, KEY, SOLVED, BEST = range(8)  # columns of a lane's state
+HUGE = 1e38  # beyond which a return is not finite in float32
 MOST_UNSOLVED = 0.45  # of the success of what has not succeeded
 
 
@@ -41,16 +45,16 @@ class Success:
     mean: float = 0.0
     spread: float = 1.0
 
-    def seen(self, info: Any) -> bool:
-        """Whether an info tells of success; WorldError if that is no number."""
+    def seen(self, info: Any, where: str) -> bool:
+        """Whether the info of `where` tells of success; WorldError if that is no number."""
         value = info.get(self.name, False)
-        try:
-            return float(value) > 0.5
-        except (TypeError, ValueError) as e:
-            raise WorldError(
-                f"the info of a step has {self.name} {value!r:.60}; name something in it that is "
-                "a number, or true or false (--success)"
-            ) from e
+        with suppress(TypeError, ValueError):
+            if not math.isnan(number := float(value)):
+                return number > 0.5
+        raise WorldError(
+            f"the info of {where} has {self.name} {value!r:.60}; name something in it that is a "
+            "number, or true or false (--success)"
+        )
 
 
 class GymnasiumWorld(ABC):
@@ -153,14 +157,21 @@ class Played(GymnasiumWorld):
             steps, gained, _, slot, batch, key, *more = old
             episode = self._episodes.at(int(slot), int(batch), int(steps), int(key))
             seen, reward, over, info = episode.play(action, own.tobytes())
-            percepts.append(self._episodes.percepts.of(seen))
-            told = self._told(steps, more, reward, info)
+            percepts.append(seen)
+            told = self._told(steps, more, reward, info, episode.where)
+            if not abs(gained + reward) < HUGE:
+                raise WorldError(
+                    f"{episode.where} comes to a return of {gained + reward:g}; give rewards whose "
+                    f"sums are below {HUGE:g}"
+                )
             common = steps + 1, gained + reward, over or self._ends(told), slot, batch
             after.append([*common, episode.keys[-1], *told])
         return torch.tensor(after, dtype=torch.float64), np.array(percepts)
 
-    def _told(self, steps: int, before: list[float], reward: float, info: Any) -> list[float]:
-        """The further columns after a step."""
+    def _told(
+        self, steps: int, before: list[float], reward: float, info: Any, where: str
+    ) -> list[float]:
+        """The further columns after a step; `where` is its place in errors."""
         return []
 
     def _ends(self, told: list[float]) -> bool:
@@ -200,8 +211,10 @@ class SuccessWorld(Played):
         """See `Episodic.over`."""
         return lanes.state[:, OVER] > 0
 
-    def _told(self, steps: int, before: list[float], reward: float, info: Any) -> list[float]:
-        return [self._about.seen(info), max(before[1], reward) if steps else reward]
+    def _told(
+        self, steps: int, before: list[float], reward: float, info: Any, where: str
+    ) -> list[float]:
+        return [self._about.seen(info, where), max(before[1], reward) if steps else reward]
 
     def _ends(self, told: list[float]) -> bool:
         return told[0] > 0 and not self._about.at_last
@@ -243,6 +256,11 @@ class VectorSteps:
         environment.prev_done = np.zeros(environment.num_envs, dtype=bool)
         seen, reward, terminated, truncated, _ = environment.step(np.pad(action, (0, more)))
         over = terminated | truncated
+        if not (np.isfinite(seen[:n]).all() and np.isfinite(reward[:n]).all()):
+            raise WorldError(
+                f"vectorised environment {self._id!r} showed numbers or gave rewards that are not "
+                "finite; register it without vector_entry_point, to be told the seed and step"
+            )
         return environment.state.T[:n], seen[:n], reward[:n], over[:n]
 
     def _of_size(self, count: int) -> Any:

@@ -37,6 +37,7 @@ _CLASSES = {
     "gymnasium-robotics": "cgtorch.manipulation.domain:Fetch",
 }
 """The domains of the library by name."""
+CONSTRUCTOR = "give it a constructor that needs no other arguments"
 NOT_FOUND = "is it spelt right, and is its file in this folder, on PYTHONPATH or installed?"
 
 
@@ -132,9 +133,7 @@ def make_driver(spec: str) -> "RobotDriver":
         raise DomainError(f"driver {spec!r} is {found!r:.80}; give a subclass of RobotDriver")
     if missing := sorted(getattr(found, "__abstractmethods__", ())):
         raise DomainError(f"driver {spec!r} lacks {' and '.join(missing)}; implement it")
-    made: RobotDriver = foreign(
-        found, f"driver {spec!r} cannot be made", "give it a constructor without arguments"
-    )
+    made: RobotDriver = foreign(found, f"driver {spec!r} cannot be made", CONSTRUCTOR)
     return made
 
 
@@ -170,8 +169,7 @@ def make_domain(spec: str, settings: DomainSettings | None = None) -> "Domain[An
             "as cgtorch.Domain describes"
         )
     failure = f"domain {spec!r} cannot be made as {kind.__name__}(settings)"
-    advice = "give it a constructor that needs no other arguments"
-    return foreign(lambda: kind(settings), failure, advice)
+    return foreign(lambda: kind(settings), failure, CONSTRUCTOR)
 
 
 def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
@@ -232,7 +230,10 @@ def check_options(spec: str, names: Sequence[str]) -> None:
 
 
 def foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:
-    """The result of user code, or a DomainError for any exception."""
+    """The result of user code, or a DomainError for any exception.
+
+    Advice on what was named or called is given unless the exception comes from within.
+    """
     try:
         return call()
     except CgtorchError:
@@ -240,6 +241,9 @@ def foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:
     except Exception as e:
         from cgtorch.ground.dry_run import failed_at, reason
 
-        if advice == NOT_FOUND and not isinstance(e, ImportError | AttributeError):
+        place = failed_at(e)
+        own = ImportError | AttributeError if advice == NOT_FOUND else TypeError
+        inside = (advice == CONSTRUCTOR and place) or not isinstance(e, own)
+        if inside and advice in (CONSTRUCTOR, NOT_FOUND):
             advice = "correct that first"
-        raise DomainError(f"{failure} ({reason(e)}){failed_at(e)}; {advice}") from e
+        raise DomainError(f"{failure} ({reason(e)}){place}; {advice}") from e

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.environment import Lanes, ScenarioBatch
+from cgtorch.ground.errors import WorldError
 
 
 class World(ABC):
@@ -17,6 +18,10 @@ class World(ABC):
     All methods get n lanes at once and must treat each by itself. Everything that a world
     remembers of an episode belongs in the state. Noise must follow from the scenario and the
     state alone.
+
+    States, controls and percepts are copied on their way in and out, so a method may change what
+    it gets and return what it keeps. WorldError if a percept is not finite, or a state or percept
+    has another shape than before.
 
     Attributes:
         scenarios: The B scenarios.
@@ -71,21 +76,43 @@ class World(ABC):
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""
-        state = self.first_state(scenario)
-        return state, self.perceived(state, scenario).float()
+        state = self.first_state(scenario).clone()
+        return state, self._shown(self.perceived(state.clone(), scenario).float(), scenario)
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """See `Environment.step`; a control that is not finite changes nothing."""
+        state, scenario = lanes.state.clone(), lanes.scenario
         if control.is_cpu and math.isfinite(control.sum()):  # all are, and nothing has to be mended
-            after = self.next_state(lanes.state, control, lanes.scenario).to(lanes.state)
-            percept = self.perceived(after, lanes.scenario).to(lanes.percept)
-            return lanes.moved(after, percept), torch.ones(len(control), dtype=torch.bool)
-        done = control.isfinite().all(1)
-        after = self.next_state(lanes.state, control.nan_to_num(), lanes.scenario)
-        state = torch.where(done[:, None], after.to(lanes.state), lanes.state)
-        percept = self.perceived(state, lanes.scenario).to(lanes.percept)
-        percept = torch.where(done[:, None], percept, lanes.percept)
-        return lanes.moved(state, percept), done
+            after = self.next_state(state, control.clone(), scenario).to(lanes.state)
+            percept = self.perceived(after.clone(), scenario).to(lanes.percept)
+            done = torch.ones(len(control), dtype=torch.bool)
+        else:
+            done = control.isfinite().all(1)
+            after = self.next_state(state, control.nan_to_num(), scenario)
+            after = torch.where(done[:, None], after.to(lanes.state), lanes.state)
+            percept = self.perceived(after.clone(), scenario).to(lanes.percept)
+            percept = torch.where(done[:, None], percept, lanes.percept)
+        for name, new, old in (("state", after, lanes.state), ("percept", percept, lanes.percept)):
+            if new.shape != old.shape:
+                raise WorldError(
+                    f"{type(self).__name__}: a {name} of shape {tuple(old.shape)} became "
+                    f"{tuple(new.shape)} in a step; return as many numbers as before"
+                )
+        return lanes.moved(after.clone(), self._shown(percept, scenario, lanes.step)), done
+
+    def _shown(self, percept: Tensor, scenario: Tensor, step: Tensor | None = None) -> Tensor:
+        """A copy of percepts (n, D) that are finite; WorldError if one is not."""
+        if percept.is_cpu and not math.isfinite(percept.sum()):
+            for row, number in (~percept.isfinite()).nonzero()[:1].tolist():
+                after = "at its start" if step is None else f"in step {int(step[row])}"
+                about = vars(self.scenarios[scenario[row : row + 1]]).items()
+                values = ", ".join(f"{name}={value[0].tolist()}" for name, value in about)
+                raise WorldError(
+                    f"{type(self).__name__} showed number {number + 1} of its percept as "
+                    f"{float(percept[row, number])} {after}; show finite numbers. Its scenario "
+                    f"{int(scenario[row])} has {values:.200}"
+                )
+        return percept.clone()
 
     def observe(self, lanes: Lanes) -> Lanes:
         """See `Environment.observe`: looking again shows the same."""
@@ -93,4 +120,4 @@ class World(ABC):
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
         """See `Environment.success`."""
-        return lanes, self.succeeded(lanes.state).to(lanes.percept)
+        return lanes, self.succeeded(lanes.state.clone()).to(lanes.percept)

@@ -13,10 +13,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.ground.environment import Environment, Lanes, start_lanes
+from cgtorch.ground.environment import Environment, Lanes, Rewarded, start_lanes
 from cgtorch.ground.errors import CgtorchError, WorldError
 
 ROWS = 2
+MOTIONS = 3  # until it is said that a world repeats itself
 LIBRARIES = tuple(
     Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib", "scripts")
 )
@@ -39,7 +40,7 @@ def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *g
         raise error(f"{who} raised {reason(e)}{failed_at(e)}, tried with two rows") from e
 
 
-def failed_at(e: Exception) -> str:
+def failed_at(e: BaseException) -> str:
     """Where the user's code failed, such as " in line 12 of wave.py"; "" if that is not known."""
     others = {Path(__file__).resolve().parents[1], *LIBRARIES}
     for frame in reversed(traceback.extract_tb(e.__traceback__)):
@@ -49,9 +50,13 @@ def failed_at(e: Exception) -> str:
     return ""
 
 
-def reason(e: Exception) -> str:
+def reason(e: BaseException) -> str:
     """The message of an exception, in one short line."""
-    return f"{type(e).__name__}: {' '.join(str(e).split())[:200]}"
+    try:
+        said = " ".join(str(e).split())[:200]
+    except Exception:  # it is the user's own, and may be wrong, too
+        said = ""
+    return f"{type(e).__name__}: {said}" if said else type(e).__name__
 
 
 def expect(
@@ -158,11 +163,15 @@ def repeats_itself(environment: Environment) -> bool:
 def _shown(environment: Environment) -> tuple[Tensor, ...]:
     """Percepts and other results of the methods on two scenarios."""
     size, scenario = environment.control_size, two_rows(environment.num_scenarios)
-    lanes = start_lanes(environment, scenario, size, 0)
-    moved, done = environment.step(lanes, lanes.percept.new_zeros(ROWS, size))
-    tested, chance = environment.success(moved)
-    seen = (lanes.percept, moved.percept, tested.percept)
-    return (*(percept.nan_to_num() for percept in seen), done, chance)
+    lanes, seen = start_lanes(environment, scenario, size, 0), list[Tensor]()
+    for _ in range(MOTIONS):
+        seen.append(lanes.percept)
+        lanes, done = environment.step(lanes, lanes.percept.new_zeros(ROWS, size))
+        seen.append(done)
+        if isinstance(environment, Rewarded):
+            seen.append(environment.returns(lanes))
+    tested, chance = environment.success(lanes)
+    return tuple(each.nan_to_num() for each in (*seen, lanes.percept, tested.percept, chance))
 
 
 def _check_size(environment: Environment, attribute: str) -> None:

@@ -79,6 +79,9 @@ def compile_library(real: str, compiler: str, target: Sequence[str], path: Path)
         files = sorted(SOURCES.rglob("*.c"), key=lambda source: source.stem not in slow)
         objects, whole = pool.map(compiled, files), Path(folder) / path.name
         _run([compiler, "-shared", "-pthread", *objects, "-o", str(whole), "-lm"])
+        whole.chmod(0o755)  # so that nobody else can change it
+        with whole.open("rb") as file:
+            os.fsync(file.fileno())  # or it may be empty after the machine has failed
         whole.replace(path)
 
 

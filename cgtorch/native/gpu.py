@@ -17,8 +17,9 @@ from typing import Any
 
 import torch
 
+from cgtorch.native.cache import cache_folder, is_whole
 from cgtorch.native.compiler import SOURCES
-from cgtorch.native.library import REALS, cache_folder
+from cgtorch.native.library import REALS
 
 FLAGS = ("-std=c++20", "-default-device", "-fmad=false", f"-I{SOURCES}", f"-I{SOURCES / 'cuda'}")
 """Each product is rounded before it is added, except where sources say `fma`, as on CPUs."""
@@ -137,10 +138,12 @@ def machine_code(module: Module, architecture: str) -> bytes:
     about = [architecture, *map(str, nvrtc_version()), *FLAGS, *options, sources_digest()]
     key = hashlib.sha256("\0".join(about).encode()).hexdigest()[:32]
     path = cache_folder() / f"{module.name}-{architecture}-{key}.cubin"
-    if not path.exists():
+    if not is_whole(path):
         made = cubin(module.source, architecture, options)
         with NamedTemporaryFile(dir=path.parent, delete=False) as file:
             file.write(made)
+            file.flush()
+            os.fsync(file.fileno())
         Path(file.name).replace(path)
     return path.read_bytes()
 

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from cgtorch.ground.errors import CompilerError
 from cgtorch.native import compiler
+from cgtorch.native.cache import cache_folder, is_whole
 
 REALS = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}
 """The type of `REAL` in C for numbers of these types."""
@@ -54,7 +55,7 @@ def to_be_compiled() -> bool:
     """Whether `available` will take seconds: there is a compiler, but no library yet."""
     try:
         kept = _kept("float") if _switched_on() else None
-        return kept is not None and not kept.exists()
+        return kept is not None and not is_whole(kept)
     except (OSError, subprocess.SubprocessError):
         return False
 
@@ -171,7 +172,7 @@ def _loaded(real: str) -> ctypes.CDLL | None:
     """The library compiled on this machine, or else one from the wheel, or None."""
     try:
         if path := _kept(real):
-            if not path.exists():
+            if not is_whole(path):
                 name = compiler.found_compiler() or ""
                 compiler.compile_library(real, name, compiler.own_target(name), path)
             return ctypes.CDLL(str(path))
@@ -186,14 +187,6 @@ def _kept(real: str) -> Path | None:
     if name is None:
         return None
     return cache_folder() / compiler.file_name(real, name, compiler.own_target(name))
-
-
-def cache_folder() -> Path:
-    """The folder of compiled libraries, for this user alone; OSError if it cannot be made."""
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(home) / "cgtorch"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return folder
 
 
 def _from_wheel(real: str) -> ctypes.CDLL | None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from cgtorch.ground.asked import Purse
+from cgtorch.ground.errors import printable
 from cgtorch.improvement import events
 from cgtorch.runs.stored_run import AUTO
 
@@ -165,8 +166,8 @@ def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
     pictures = domain.pictures(domain)
     table = Table(
         title=pictures.solved[1], title_justify="left", header_style="bold", box=SIMPLE_HEAD,
-        caption=Text(_overall(results, domain)), caption_justify="left", caption_style="",
-        pad_edge=False, padding=(0, 1, 0, 0),
+        caption=Text(printable(_overall(results, domain))), caption_justify="left",
+        caption_style="", pad_edge=False, padding=(0, 1, 0, 0),
     )  # fmt: skip
     beside = ["ours", pictures.publisher] if pictures.published else ["solved"]
     texts = ["stage", "scenarios", *beside]
@@ -174,7 +175,7 @@ def final_table(results: Sequence[Result], domain: "Domain[Any]") -> "Table":
         justify: Literal["left", "right"] = "left" if name in texts else "right"
         table.add_column(name, justify=justify, no_wrap=True)
     for result in results:
-        table.add_row(*map(Text, _row(result, domain)))
+        table.add_row(*(Text(printable(cell)) for cell in _row(result, domain)))
     return table
 
 

@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cgtorch.evolution.fitness import WORTHLESS
+from cgtorch.ground.errors import printable
 from cgtorch.improvement import events
 from cgtorch.report.messages import as_time, few_solved, message_of, place_of, stage_number
 
@@ -204,7 +205,7 @@ class ProgressDisplay:
         """Print a line that stays, unless quiet."""
         self._told = time.monotonic()
         if not self._quiet:
-            self.console.print(Text(line, style=style), soft_wrap=True)
+            self.console.print(Text(printable(line), style=style), soft_wrap=True)
 
     def _plain(self, line: str) -> None:
         """Print a line if there is no live display."""
@@ -240,7 +241,15 @@ class ProgressDisplay:
 
 def _line(*parts: str | Text | tuple[str, str]) -> Text:
     """One line, cut at the width of the terminal."""
-    return Text.assemble(*parts, no_wrap=True, overflow="ellipsis")
+    known = (
+        part if isinstance(part, Text) else _styled(*([part] if isinstance(part, str) else part))
+        for part in parts
+    )
+    return Text.assemble(*known, no_wrap=True, overflow="ellipsis")
+
+
+def _styled(text: str, style: str = "") -> tuple[str, str]:
+    return printable(text), style
 
 
 def _bar(event: events.GenerationDone, left: float) -> Table:
@@ -250,7 +259,7 @@ def _bar(event: events.GenerationDone, left: float) -> Table:
     for _ in range(4):
         grid.add_column(no_wrap=True, overflow="ellipsis")
     grid.add_row(
-        Text(f"  {event.candidate}", style="cyan"),
+        Text(printable(f"  {event.candidate}"), style="cyan"),
         ProgressBar(total=event.limit, completed=done, width=24),
         Text(f"generation {done} of ≤ {event.limit}"),
         Text(f"left ≤ {as_time(left)}", style="dim"),

@@ -172,7 +172,8 @@ class FileJournal(Journal):
             return ""
         self._before_writing()
         with writing(self._folder):
-            self._folder.mkdir(parents=True, exist_ok=True)
+            self._folder.parent.mkdir(exist_ok=True)  # in the run, which may have been renamed
+            self._folder.mkdir(exist_ok=True)
         plain = {key: t.detach().cpu().contiguous().clone() for key, t in tensors.items()}
         about = {**about, "version": __version__}
         about["sha256"] = checksum(plain, about)

@@ -9,6 +9,7 @@ The folder contains:
     auto-1/ auto-2/ …   each finished round of --stage auto: the same
     log.jsonl           what happened, a line each, with all results and every action of a robot
     journal/            the results so far of an unfinished stage or round
+    writer.json         who writes to it or did last, whose lock is on this file
     set-aside/          journals of stages that were repeated with other settings or versions
     events.out.…        TensorBoard, for people
 """
@@ -47,6 +48,7 @@ from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsEr
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
 from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
+from cgtorch.runs.writer import WRITER
 
 FORMAT, VERSION = "cgtorch-run", 6
 AUTO = "auto"
@@ -177,7 +179,8 @@ def planned_run(
 
 def only_begun(folder: Path) -> bool:
     """Whether a run has produced nothing yet, so other settings would lose nothing."""
-    return all(p.name == "run.json" or ".tfevents." in p.name for p in folder.iterdir())
+    names = [path.name for path in folder.iterdir()]
+    return all(name in ("run.json", WRITER) or ".tfevents." in name for name in names)
 
 
 def write_run(run: StoredRun) -> None:

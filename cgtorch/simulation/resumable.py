@@ -31,7 +31,7 @@ from cgtorch.simulation.compiled import (
 )
 from cgtorch.simulation.model import ModelEnvironment
 from cgtorch.simulation.program import ActionTable, check_numbers
-from cgtorch.simulation.torch_engine import Rollouts
+from cgtorch.simulation.torch_engine import Rollouts, finished_returns
 
 FIELDS = (
     ("percept", "new_percept"), ("state", "new_state"), ("message", "new_message"),
@@ -289,9 +289,7 @@ def _ended(rollouts: WaitingRollouts, sizes: tuple[int, int], rewards: Rewarded 
     """The results of all lanes."""
     lanes, returns = rollouts.lanes, None
     if rewards is not None:
-        gained = rewards.returns(lanes).to(lanes.percept)
-        finished = rewards.over(lanes) & gained.isfinite()
-        returns = torch.where(finished, gained, -torch.inf).view(sizes)
+        returns = finished_returns(rewards, lanes).view(sizes)
     return Rollouts(
         succeeded=rollouts.succeeded.view(sizes),
         timed_out=rollouts.timed_out.view(sizes),

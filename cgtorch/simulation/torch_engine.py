@@ -16,6 +16,7 @@ from cgtorch.ground.environment import (
     rows_where,
     start_lanes,
 )
+from cgtorch.ground.errors import WorldError
 from cgtorch.simulation.program import FAILURE, SUCCESS, TIMEOUT, Program
 
 LARGEST_BATCH = 2**40  # lanes
@@ -200,9 +201,7 @@ def rollout_in_torch(
         state.index_copy_(0, who, last.state)
         transitions.index_copy_(0, who, last.step.clamp_max(max_steps))
         if rewards is not None and returns is not None:
-            gained = rewards.returns(last).to(returns)
-            finished = rewards.over(last) & gained.isfinite()
-            returns.index_copy_(0, who, torch.where(finished, gained, -torch.inf))
+            returns.index_copy_(0, who, finished_returns(rewards, last))
     return Rollouts(
         succeeded=(status == SUCCESS).view(p, b),
         timed_out=((status != SUCCESS) & (status != FAILURE)).view(p, b),
@@ -212,6 +211,20 @@ def rollout_in_torch(
         executed=executed,
         returns=None if returns is None else returns.view(p, b),
     )
+
+
+def finished_returns(world: Rewarded, lanes: Lanes) -> Tensor:
+    """(n,) returns of lanes, -inf where an episode is not over; WorldError if one is not finite."""
+    gained, over = world.returns(lanes).to(lanes.percept), world.over(lanes)
+    wrong = over & ~gained.isfinite()
+    if wrong.is_cpu and wrong.any():
+        row = int(wrong.nonzero()[0])
+        raise WorldError(
+            f"{type(world).__name__}.returns gave {float(gained[row])} for scenario "
+            f"{int(lanes.scenario[row])} after {int(lanes.step[row])} actions; give finite "
+            "rewards, whose sums are below 1e38"
+        )
+    return torch.where(over, gained, -torch.inf)
 
 
 def _at_the_end(environment: Environment, episodes: Episodic, lanes: Lanes, end: Tensor) -> Tensor:

@@ -25,7 +25,15 @@ from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
-from cgtorch.training.session import TrainingRequest, UserWatch, begun, carry_out, prepared, resumed
+from cgtorch.training.session import (
+    TrainingRequest,
+    UserWatch,
+    begun,
+    carry_out,
+    continued,
+    prepared,
+    resumed,
+)
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
@@ -98,8 +106,9 @@ class Run(StoredRun):
         kind = type(self.domain.settings)
         own = {f.name for f in fields(kind)}
         known_options(RunSettings, {k: v for k, v in rest.items() if k not in own}, kind)
-        work = prepared(self, resumed(self, rest, rest), request)
-        with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
+        settings = resumed(self, rest, rest)
+        with continued(self), ProgressDisplay(quiet=quiet or not ranks.first()) as display:
+            work = prepared(self, settings, request)
             carry_out(work, display, watch)
         return type(self).of(work.run)
 
@@ -163,11 +172,13 @@ def train(
     rest.setdefault("driver", driver_of(spec) if made is None else "")
     run_settings = RunSettings(**{**defaults_of(kind), **known_options(RunSettings, rest, kind)})
     place = Path("runs") / f"seed-{run_settings.seed}" if folder is None else Path(folder)
-    with ranks.together():
-        run = begun(place, run_settings, domain_settings, request, made)
-        with ProgressDisplay(quiet=quiet or not ranks.first()) as display:
-            work = prepared(run, run_settings, request)
-            carry_out(work, display, watch)
+    with (
+        ranks.together(),
+        begun(place, run_settings, domain_settings, request, made) as run,
+        ProgressDisplay(quiet=quiet or not ranks.first()) as display,
+    ):
+        work = prepared(run, run_settings, request)
+        carry_out(work, display, watch)
     return Run.of(work.run)
 
 

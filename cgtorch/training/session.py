@@ -1,8 +1,7 @@
 """From what is asked of a run to its result: begin or continue it, and write its files."""
 
-import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Self, TypeAlias
@@ -17,7 +16,6 @@ from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, Watch
-from cgtorch.native.gpu import launcher_of
 from cgtorch.native.processes import listening
 from cgtorch.report import ProgressDisplay, TensorBoardWatch
 from cgtorch.runs.journal import (
@@ -35,18 +33,17 @@ from cgtorch.runs.stored_run import (
     only_begun,
     overridden,
     planned_run,
+    read_about,
     read_run,
     refuse_others,
     write_run,
 )
-from cgtorch.simulation.compiled import WITH_MEMORY
+from cgtorch.runs.writer import sole_writer
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training
+from cgtorch.training.device import device_for, device_named
 from cgtorch.training.start import given_data
 from cgtorch.training.train import finished_generations, stages_to_make, train
-
-WORTH_A_GPU = 4000
-"""Population size from which a GPU is faster than the CPU (docs/decisions/engine.md)."""
 
 UserWatch: TypeAlias = Callable[[Event], object]
 """Receives every event of a training. If it returns True, the run stops and can be resumed."""
@@ -118,30 +115,39 @@ class _StopTraining(BaseException):
     """The user's watch has asked for the end."""
 
 
+@contextmanager
 def begun(
     folder: Path,
     settings: RunSettings,
     domain_settings: DomainSettings,
     request: TrainingRequest,
     domain: Domain[Any] | None = None,
-) -> StoredRun:
-    """A new run, or the one in `folder` if it has the same settings or has produced nothing yet."""
+) -> Iterator[StoredRun]:
+    """A new run, or the one in `folder` if it has the same settings or has produced nothing yet.
+
+    In this context no other process writes to it.
+    """
     given = {**to_plain(settings), **to_plain(domain_settings)}
-    new = ranks.broadcast(not (folder / "run.json").is_file())
     about = settings.actions, domain or settings.domain, settings.driver or None
-    run = None if new else read_run(folder, *about)
-    if run is None or ranks.broadcast(only_begun(folder) and run.all_settings() != given):
-        # On every rank, as they share what the world has to compute.
-        run = planned_run(folder, settings, domain_settings, anew=not new, domain=domain)
-        _stage(run, request, {})
-        if settings.data:
-            given_data(run)  # bad files are refused before anything is written
-        ranks.wait()  # all have seen the folder before anyone writes
-        if ranks.first():
-            write_run(run)
-        ranks.wait()
-    refuse_others(run, given, "choose another run folder (folder, --run-dir)")
-    return run
+    with ExitStack() as writer:
+        run = None
+        if not (new := ranks.broadcast(not (folder / "run.json").is_file())):
+            writer.enter_context(sole_writer(folder))
+            run = read_run(folder, *about)
+        if run is None or ranks.broadcast(only_begun(folder) and run.all_settings() != given):
+            # On every rank, as they share what the world has to compute.
+            run = planned_run(folder, settings, domain_settings, anew=not new, domain=domain)
+            _stage(run, request, {})
+            if settings.data:
+                given_data(run)  # bad files are refused before anything is written
+            ranks.wait()  # all have seen the folder before anyone writes
+            if ranks.first():
+                write_run(run)
+            ranks.wait()
+        if new:
+            writer.enter_context(sole_writer(folder))
+        refuse_others(run, given, "choose another run folder (folder, --run-dir)")
+        yield run
 
 
 def resumed(run: StoredRun, given: Mapping[str, Any], overrides: Mapping[str, Any]) -> RunSettings:
@@ -155,6 +161,18 @@ def resumed(run: StoredRun, given: Mapping[str, Any], overrides: Mapping[str, An
     rest = {name: value for name, value in given.items() if name not in overrides}
     refuse_others(run, rest, "leave it out")
     return settings
+
+
+@contextmanager
+def continued(run: StoredRun) -> Iterator[None]:
+    """A context in which no other process writes to an open run.
+
+    RunError if another does, or has done so since the run was opened.
+    """
+    with sole_writer(run.folder):
+        if read_about(run.folder)["settings"] != to_plain(run.settings):
+            raise RunError(f"run {str(run.folder)!r} has other settings by now; open it again")
+        yield
 
 
 def prepared(run: StoredRun, settings: RunSettings, request: TrainingRequest) -> Work:
@@ -195,7 +213,7 @@ def carry_out(
                 if watch is not None and watch(event) is True:
                     raise _StopTraining
 
-            device = _device(work, display)
+            device = device_for(run, work.request.device, display)
             about = display.working, device, work.request.checkpoint_seconds, work.purse
             training = Training(run, told, *about)
             try:
@@ -215,45 +233,6 @@ def _one_thread_each() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def _device(work: Work, display: ProgressDisplay) -> torch.device:
-    """The device that is asked for; SettingsError if it cannot be used."""
-    name = work.request.device
-    return fastest_device(work.run, display) if name == "auto" else device_named(name)
-
-
-def device_named(name: str) -> torch.device:
-    """The device with that name; SettingsError if it cannot be used."""
-    # Each rank of a machine has its own.
-    number = f":{os.environ['LOCAL_RANK']}" if name == "cuda" and "LOCAL_RANK" in os.environ else ""
-    try:
-        device = torch.device(name + number)
-        torch.zeros(1, device=device).item()  # which the meta device refuses
-    except (RuntimeError, AssertionError) as e:
-        raise SettingsError(f"device {name!r} cannot be used; give auto, cpu or cuda") from e
-    return device
-
-
-def fastest_device(run: StoredRun, display: ProgressDisplay) -> torch.device:
-    """A GPU, if its kernels support the run and the population is large; else the CPU.
-
-    If there is a GPU, the choice is shown. Actions without a kernel run as torch operations on a
-    GPU, which are slower than the CPU.
-    """
-    if not torch.cuda.is_available():
-        return torch.device("cpu")
-    gpu, population = torch.device("cuda"), run.settings.population
-    actions = run.actions.actions
-    known = all(a.native_kind and a.native_kind not in WITH_MEMORY for a in actions)
-    known &= ranks.count() == 1
-    name, why, other = "cpu", f"is as fast as a GPU for a population of {population}", "cuda"
-    if not known or launcher_of(gpu) is None:
-        why = "is faster, as a GPU has no kernels for this run"
-    elif population >= WORTH_A_GPU:
-        name, why, other = "cuda", f"is faster for a population of {population}", "cpu"
-    display.say(f"device: {name}, which {why}; --device {other} selects the other one")
-    return torch.device(name)
 
 
 def _asked(run: StoredRun, request: TrainingRequest) -> tuple[str, Goal]:

@@ -4,6 +4,7 @@ import io
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 from chromium import Visit, served, visit
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, expect
+from viser import __version__ as VERSION  # noqa: N812
 
 from cgtorch.graphs import save_skill
 from cgtorch.improvement.compose import branching_action, compose
@@ -191,3 +193,27 @@ def test_compare_two_skills(opened: Visit) -> None:
     page.locator("input[role=combobox][value=S0]").click()
     page.get_by_role("option", name="nothing", exact=True).click()
     expect(page.get_by_text("Choose a skill to compare with.")).to_be_visible()
+
+
+def test_a_strangers_skill_runs_no_script_and_his_page_sees_nothing(
+    chromium: Browser, tmp_path: Path
+) -> None:
+    _, skill = last_skill(REFERENCE)
+    path, name = tmp_path / "skill.json", '<iframe srcdoc="<script>parent.hit=1</script>"></iframe>'
+    save_skill(path, replace(skill, name=f"{name}**<b>x</b>**"))
+    with served("cgtorch.commands.view", str(path), "--port", "0") as url:
+        with visit(chromium, url + COARSE, 1600, 900) as at:
+            expect(headline(at.page)).to_contain_text("step 1 of")
+            expect(at.page.get_by_text(name).first).to_be_attached()
+            at.page.wait_for_timeout(2000)
+            assert at.page.evaluate("window.hit") is None
+            assert at.page.locator("iframe").count() == 0
+        page = tmp_path / "other.html"
+        page.write_text(
+            f"<script>const s = new WebSocket('{url.replace('http', 'ws')}', 'viser-v{VERSION}');"
+            "s.onopen = () => { document.title = 'open' };"
+            "s.onerror = () => { document.title = 'refused' }</script>"
+        )
+        with visit(chromium, page.as_uri()) as other:
+            other.page.wait_for_function("document.title")
+            assert other.page.title() == "refused"

@@ -323,8 +323,8 @@ from own_cart import Cart, Rail
 
 class Fragile(Rail):
     def next_state(self, state, control, scenario):
-        if (state[:, 0].abs() > 1.99).any():
-            raise IndexError("off the rail")
+        if (state[:, 0].abs() > 2.9).any():
+            raise {}("off the rail")
         return super().next_state(state, control, scenario)
 
 class Glass(Cart):
@@ -333,15 +333,39 @@ class Glass(Cart):
 """
 
 
-def test_an_error_in_a_domain_is_one_line_whenever_it_happens(tmp_path: Path) -> None:
+@pytest.mark.parametrize("error", ["IndexError", "SystemExit"])
+def test_an_error_in_a_domain_is_one_line_whenever_it_happens(tmp_path: Path, error: str) -> None:
     (tmp_path / "own_cart.py").write_text(EXAMPLE)
-    (tmp_path / "late.py").write_text(LATE)
+    (tmp_path / "late.py").write_text(LATE.format(error))
     ended = in_a_shell(TRAIN, "--domain", "late:Glass", "--run-dir", "run", folder=tmp_path)
     assert ended.code == 1
     assert "Traceback" not in ended.err
     last = ended.err.strip().splitlines()[-1]
-    assert last.startswith("cgtorch-train: IndexError: off the rail in line 7 of late.py; ")
+    assert last.startswith(f"cgtorch-train: {error}: off the rail in line 7 of late.py; ")
     assert last.endswith("continue with cgtorch-train --resume run --domain late:Glass")
+
+
+LEAKY = """
+from own_cart import Cart, Rail
+
+class Leaky(Rail):
+    def perceived(self, state, scenario):
+        return state / (state[:, :1].abs() < 2.9)
+
+class Leak(Cart):
+    def world(self, scenarios):
+        return Leaky(scenarios)
+"""
+
+
+def test_what_a_domain_shows_is_told_with_how_to_go_on(tmp_path: Path) -> None:
+    (tmp_path / "own_cart.py").write_text(EXAMPLE)
+    (tmp_path / "leaky.py").write_text(LEAKY)
+    ended = in_a_shell(TRAIN, "--domain", "leaky:Leak", "--run-dir", "run", folder=tmp_path)
+    assert ended.code == 2
+    last = ended.err.strip().splitlines()[-1]
+    assert "Leaky showed number 1 of its percept as " in last
+    assert last.endswith("continue with cgtorch-train --resume run --domain leaky:Leak")
 
 
 def test_a_skill_file_for_no_domain(shell: Shell, trained: Trained) -> None:

@@ -21,7 +21,7 @@ from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import planned_run
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.settings import TabletopSettings
-from cgtorch.training.session import fastest_device
+from cgtorch.training.device import fastest_device
 
 
 def quick(trained: Trained, folder: Path) -> Path:

@@ -1,16 +1,19 @@
 """Long work on a terminal, elsewhere, and quiet; and how an interrupted command ends."""
 
 import ctypes
+import errno
 import io
 import signal
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
+from functools import partial
 
 import click
 import pytest
 from rich.console import Console
 
-from cgtorch.commands.common import resumable, run_command, waiting
+from cgtorch.commands.common import resumable, run_command, say, waiting
+from cgtorch.ground.errors import SettingsError
 from cgtorch.native.processes import counted
 
 
@@ -54,8 +57,22 @@ def in_the_midst_of_ctypes() -> None:
     function(1)
 
 
+def swallowed_by_a_library() -> None:
+    """An interrupt that a library turns into another error, of which another is made."""
+    with suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGTERM)
+    raise SettingsError("URDF is refused (unsupported operand); correct it")
+
+
 @pytest.mark.parametrize(
-    "happens", [lambda: signal.raise_signal(signal.SIGTERM), in_the_midst_of_ctypes]
+    "happens",
+    [
+        lambda: signal.raise_signal(signal.SIGINT),
+        swallowed_by_a_library,
+        lambda: signal.raise_signal(signal.SIGTERM),
+        lambda: signal.raise_signal(signal.SIGHUP),
+        in_the_midst_of_ctypes,
+    ],
 )
 @pytest.mark.parametrize(
     ("resumes", "line"),
@@ -82,3 +99,48 @@ def test_an_interrupt(
         run_command(click.Command("stopped", None, interrupted))
     assert ended.value.code == 1
     assert capsys.readouterr().err.lstrip("\n") == line  # click ends the line of a ^C
+
+
+def test_a_closed_terminal_is_nothing_to_what_was_begun_with_nohup(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def closed() -> None:
+        signal.raise_signal(signal.SIGHUP)
+        click.echo("went on")
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        monkeypatch.setattr("sys.argv", ["begun"])
+        run_command(click.Command("begun", None, closed))
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert capsys.readouterr().out == "went on\n"
+
+
+@pytest.mark.parametrize("name", ["runs/one", b"runs/one"])
+def test_a_path_is_told_as_text(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str | bytes
+) -> None:
+    def failed() -> None:
+        raise OSError(errno.EROFS, "Read-only file system", name)
+
+    monkeypatch.setattr("sys.argv", ["stopped"])
+    with pytest.raises(SystemExit):
+        run_command(click.Command("stopped", None, failed))
+    line = "stopped: cannot read or write 'runs/one' (Read-only file system); check the path"
+    assert capsys.readouterr().err.startswith(line)
+
+
+def test_what_is_said_cannot_control_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    say("name \x1b[2J\x9b31m is \u202e odd")
+    assert capsys.readouterr().out == "name \\x1b[2J\\x9b31m is \\u202e odd\n"
+    written = io.StringIO()
+    console = partial(Console, file=written, force_terminal=True, width=90)
+    monkeypatch.setattr("rich.console.Console", lambda stderr: console())
+    with waiting("trying \x1b[2J", quiet=False):
+        pass
+    assert "trying \\x1b[2J …" in written.getvalue()
+    assert "\x1b[2J" not in written.getvalue()

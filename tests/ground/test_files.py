@@ -12,7 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cgtorch.ground.errors import GraphError, RunError
-from cgtorch.ground.files import JsonLines, read_bytes, read_json, write_bytes, write_json
+from cgtorch.ground.files import (
+    JsonLines,
+    read_bytes,
+    read_json,
+    whole_folder,
+    write_bytes,
+    write_json,
+)
 
 VALUE = st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.text() | st.floats(-9, 9)
 ROW = st.dictionaries(st.text(max_size=5), VALUE | st.lists(VALUE, max_size=3), max_size=4)
@@ -189,3 +196,13 @@ def test_numbers_that_json_does_not_know_are_not_logged(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not JSON compliant"):
         log.append({"a": float("nan")})
     assert list(log.rows()) == [{"a": 1}]
+
+
+def test_a_folder_can_appear_where_a_link_leads(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "disk" / "run")
+    (tmp_path / "disk").mkdir()
+    with whole_folder(tmp_path / "link") as folder:
+        (folder / "a").write_text("1")
+    assert (tmp_path / "disk" / "run" / "a").read_text() == "1"
+    assert (tmp_path / "link").is_symlink()
+    assert not list(tmp_path.rglob("*.tmp"))

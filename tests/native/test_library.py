@@ -1,6 +1,7 @@
 """Compiled code: where it comes from, that nothing needs it, and what Python knows of it."""
 
 import ctypes
+import os
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,47 @@ def test_it_is_compiled_once_into_the_cache(
     assert found_anew(monkeypatch)
     assert made.stat().st_mtime_ns == time
     assert list((tmp_path / "cgtorch").iterdir()) == [made]
+
+
+@pytest.mark.parametrize("harm", ["empty", "cut", "another's", "anybody's", "link"])
+def test_what_is_not_whole_or_not_ones_own_is_compiled_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, harm: str
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("CC", quick_compiler(tmp_path))
+    assert found_anew(monkeypatch)
+    (made,) = (tmp_path / "cgtorch").iterdir()
+    whole, evil = made.read_bytes(), tmp_path / "evil"
+    made.unlink()  # it is loaded, so that it must not be changed in its place
+    made.write_bytes({"empty": b"", "cut": whole[:-100]}.get(harm, whole))
+    made.chmod(0o777 if harm == "anybody's" else 0o755)
+    if harm == "link":
+        made.rename(evil)
+        made.symlink_to(evil)
+    if harm == "another's":
+        if os.geteuid() != 0:
+            pytest.skip("only root can give folders away")
+        os.chown(tmp_path / "cgtorch", 12345, 12345)
+    assert library.to_be_compiled()
+    assert found_anew(monkeypatch)
+    assert not library.to_be_compiled()
+    if harm == "another's":  # in a folder of this user's own
+        assert (tmp_path / "cgtorch-0" / made.name).exists()
+    else:
+        assert made.stat().st_mode & 0o022 == 0
+        assert not made.is_symlink()
+        assert len(made.read_bytes()) > len(whole) // 2
+
+
+def test_a_cache_that_belongs_to_others_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = os.geteuid()
+    monkeypatch.setattr("os.geteuid", lambda: own + 1)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert not found_anew(monkeypatch, CC=quick_compiler(tmp_path))
+    assert not library.to_be_compiled()
+    assert not list((tmp_path / f"cgtorch-{own + 1}").iterdir())
 
 
 @pytest.mark.parametrize(

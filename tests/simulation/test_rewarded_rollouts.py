@@ -19,6 +19,7 @@ from walking import walking_actions as walking
 from cgtorch.graphs import ActionSet, Graphs, Skill, SubSkill
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.environment import Environment, Lanes, Rewarded
+from cgtorch.ground.errors import WorldError
 from cgtorch.improvement.trial import try_skill
 from cgtorch.simulation import (
     MAX_STEPS,
@@ -28,7 +29,7 @@ from cgtorch.simulation import (
     rollout,
 )
 from cgtorch.simulation.compiled import LARGEST
-from cgtorch.simulation.torch_engine import MOST_IDLE
+from cgtorch.simulation.torch_engine import MOST_IDLE, Trace
 from cgtorch.tabletop.actions import Detect
 
 SETS = [walking(), nested_actions(0, walking(), limits=(4, 9))]
@@ -136,16 +137,20 @@ def test_a_skill_that_ends_before_its_episode_gets_no_return() -> None:
     assert whole.succeeded.all()
 
 
-def test_returns_that_are_no_numbers_are_none() -> None:
+@pytest.mark.parametrize("trace", [None, lambda *seen: None])
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf, 1e39])
+def test_returns_that_are_not_finite_are_told(bad: float, trace: Trace | None) -> None:
     class Odd(RewardedPath):
         def returns(self, lanes: Lanes) -> Tensor:
-            return torch.where(lanes.scenario == 0, torch.nan, super().returns(lanes).double())
+            return torch.where(lanes.scenario == 1, bad, super().returns(lanes).double())
 
     actions = walking()
     place = Odd(Walks(torch.zeros(2), torch.ones(2)))
-    runs = rollout(chain(actions, "Aim", "Step"), actions, place)
-    assert tensors_of(runs)["returns"].tolist() == [[-torch.inf, 0.0]]
-    assert tensors_of(runs)["returns"].dtype == torch.float32
+    with pytest.raises(WorldError, match=r"Odd.returns gave (nan|inf) for scenario 1 after 2 act"):
+        rollout(chain(actions, "Aim", "Step"), actions, place, trace=trace)
+    runs = rollout(chain(actions, "Aim"), actions, place, trace=trace)  # which ends no episode
+    assert runs.returns is not None
+    assert (runs.returns == -torch.inf).all()
 
 
 @given(st.integers(0, 2**31), st.sampled_from(SETS))

@@ -3,7 +3,6 @@
 import io
 import math
 import sys
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +15,11 @@ from lxml import etree
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
+from cgtorch.tabletop.kinematics.dialects import completed
 
 MAX_BYTES = 8_000_000
 MAX_LINKS = 500
+LISTED = 4  # lines or links that an error names
 MOST = 1e6  # m or rad: what is computed from such numbers is finite, too
 MOVING = ("revolute", "continuous", "prismatic")
 _JOINT_TYPES = (*MOVING, "fixed", "floating", "planar")
@@ -29,6 +30,7 @@ _NUMBERS = {
     "axis": (3, MOST, ("xyz",)),
     "box": (3, MOST, ("size",)),
     "mimic": (1, MOST, ("multiplier", "offset")),
+    "capsule": (1, MOST, ("radius", "length")),
     "cylinder": (1, MOST, ("radius", "length")),
     "sphere": (1, MOST, ("radius",)),
     "limit": (1, _HUGE, ("lower", "upper", "effort", "velocity")),
@@ -118,8 +120,9 @@ def read_urdf(path: Path) -> Any:
         raise RobotError(f"{where} starts with <{root.tag}>: give a file that starts with <robot>")
     _check_numbers(root, where)
     _check_tree(root, where)
+    completed(root, where)
     for joint in root.findall("joint"):
-        _check_joint(joint, f"{where}: joint {joint.get('name')!r}")
+        _check_joint(joint, f"{where}, line {joint.sourceline}: joint {joint.get('name')!r}")
     return root
 
 
@@ -212,16 +215,24 @@ def _number(text: str) -> float:
 
 def _check_tree(root: Any, where: str) -> None:
     """Check that names are unique, and every link is reached from one root by exactly one joint."""
-    links = [link.get("name") for link in root.findall("link")]
-    joints = root.findall("joint")
+    named, joints = root.findall("link"), root.findall("joint")
+    links = [link.get("name") for link in named]
     if len(links) > MAX_LINKS:
         raise RobotError(f"{where} has {len(links)} links: give a robot of {MAX_LINKS} at most")
-    for what, names in (("link", links), ("joint", [joint.get("name") for joint in joints])):
-        for name, count in Counter(names).items():
-            if not name:
-                raise RobotError(f"{where}: a {what} has no name: give it one")
-            if count > 1:
-                raise RobotError(f"{where}: {what} {name!r} is there {count} times: keep one")
+    for what, elements in (("link", named), ("joint", joints)):
+        lines: dict[str, list[str]] = {}
+        for element in elements:
+            if not (name := element.get("name")):
+                raise RobotError(
+                    f"{where}, line {element.sourceline}: a {what} has no name: give it one"
+                )
+            lines.setdefault(name, []).append(str(element.sourceline))
+        for name, at in lines.items():
+            if len(at) > 1:
+                raise RobotError(
+                    f"{where}: {what} {name!r} is there {len(at)} times, in lines "
+                    f"{', '.join(at[:LISTED])}: keep one"
+                )
     tree: networkx.DiGraph[Any] = networkx.DiGraph()
     tree.add_nodes_from(links)
     for joint in joints:
@@ -229,18 +240,20 @@ def _check_tree(root: Any, where: str) -> None:
         for role, link in zip(("parent", "child"), ends, strict=True):
             if link not in links:
                 raise RobotError(
-                    f"{where}: joint {joint.get('name')!r} has the {role} link {link!r}, which is "
-                    "not there: name an existing link"
+                    f"{where}, line {joint.sourceline}: joint {joint.get('name')!r} has the {role} "
+                    f"link {link!r}, which is not there: name an existing link"
                 )
         if tree.in_degree(ends[1]):
             raise RobotError(
-                f"{where}: link {ends[1]!r} is the child of more than one joint: keep one"
+                f"{where}, line {joint.sourceline}: link {ends[1]!r} is the child of more than one "
+                "joint: keep one"
             )
         tree.add_edge(*ends)
     roots = [link for link in links if not tree.in_degree(link)]
     if len(roots) != 1:
         raise RobotError(
-            f"{where} has {len(roots)} root links {roots[:4]}: connect all links to one by joints"
+            f"{where} has {len(roots)} root links {roots[:LISTED]}: connect all links to one by "
+            "joints"
         )
     if not networkx.is_arborescence(tree):
         raise RobotError(f"{where}: some links hang from each other in a loop: break the loop")

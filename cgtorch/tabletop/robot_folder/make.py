@@ -1,5 +1,6 @@
 """Making a robot folder from a URDF: read, fit shapes, propose, try, draw and write."""
 
+import copy
 import dataclasses
 import io
 from collections.abc import Mapping, Sequence
@@ -8,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from lxml import etree
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import whole_folder, write_bytes, write_json
-from cgtorch.tabletop.kinematics import Robot, graspable, load_robot
+from cgtorch.tabletop.kinematics import Robot, load_robot
 from cgtorch.tabletop.kinematics.description import DESCRIPTION, RobotDescription
 from cgtorch.tabletop.kinematics.fitted import MeshFit, without_meshes
 from cgtorch.tabletop.kinematics.meshes import package_places
@@ -28,12 +28,10 @@ from cgtorch.tabletop.kinematics.urdf import (
     read_urdf,
 )
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
+from cgtorch.tabletop.robot_folder.reach import Reached, reached
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 URDF, PICTURE, SHAPES = "robot.urdf", "robot.png", "shapes.json"
-TABLE = (0.8, 1.6, 0.75)  # m: depth, width and height of the table on which a robot is tried
-AHEAD = 0.05  # m from the footprint to that table
-DEPTHS, ASIDE = (0.1, 0.2, 0.3), (-0.3, 0.0, 0.3)  # m: where objects are on it
 DENSITY = 500.0  # kg/m³ of a link's box whose mass is not known
 LIGHT = 0.01  # minimum mass of a moving link, kg
 SMALL = 0.03  # m: sides of the box of a link without shapes
@@ -53,14 +51,14 @@ class Made:
         meshes: The shapes fitted to meshes.
         inertials: Links whose mass or inertia was made up.
         notes: Additions and assumptions.
-        grasps: (9,) bool, which objects on a table in front of the robot can be grasped.
+        reached: Which objects on a table in front of the robot can be grasped.
     """
 
     robot: Robot
     meshes: tuple[MeshFit, ...]
     inertials: tuple[str, ...]
     notes: tuple[str, ...]
-    grasps: torch.Tensor
+    reached: Reached
 
 
 def make_robot_folder(
@@ -73,6 +71,7 @@ def make_robot_folder(
     """
     read = checked_urdf(urdf, read_urdf(urdf))
     plain, meshes = without_meshes(read, package_places(packages))
+    plain, notes = _solid(plain)
     plain, inertials = sound_inertials(plain)
     proposal = propose(plain, wishes or Wishes(), _corners(read, meshes))
     with whole_folder(folder) as place:
@@ -86,7 +85,7 @@ def make_robot_folder(
             raise RobotError(str(error).replace(str(place), str(folder))) from None
         write_json(place / SHAPES, [_record(each) for each in meshes])
         write_bytes(place / PICTURE, robot_picture(robot))
-    return Made(robot, meshes, inertials, proposal.notes, _tried(robot))
+    return Made(robot, meshes, inertials, (*notes, *proposal.notes), reached(robot))
 
 
 def _at_home(robot: Robot) -> dict[str, float]:
@@ -137,13 +136,17 @@ def _record(each: MeshFit) -> dict[str, Any]:
     return {**about, "shapes": shapes, **volumes, "ratio": fit.ratio}
 
 
-def _tried(robot: Robot) -> torch.Tensor:
-    """(9,) which objects on a table before the robot it can grasp."""
-    depth, width, height = TABLE
-    edge = robot.description.footprint[1] + AHEAD
-    objects = torch.tensor([[edge + x, y, height] for x in DEPTHS for y in ASIDE])
-    table = torch.tensor([edge + depth / 2, 0.0, 0.0, depth, width, height]).expand(len(objects), 6)
-    return graspable(robot, objects, table)
+def _solid(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
+    """A URDF of which nothing collides with what is seen of it as what collides, and a note."""
+    root = etree.fromstring(urdf.xml)
+    visuals = root.findall("link/visual")
+    if not visuals or root.find("link/collision") is not None:
+        return urdf, ()
+    for visual in visuals:
+        solid = etree.SubElement(visual.getparent(), "collision")
+        solid.extend(copy.deepcopy(each) for each in visual if each.tag in ("origin", "geometry"))
+    note = "the URDF has no collision shapes, so that its visual shapes are taken for them"
+    return checked_urdf(urdf.path, root), (note,)
 
 
 def sound_inertials(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:

@@ -1,6 +1,7 @@
 """Proposing a robot description from a URDF: base, footprint, torso, arms, hands and body."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -13,8 +14,14 @@ from trimesh import transformations
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, at_rest, checked_urdf
-from cgtorch.tabletop.robot_folder.structure import (
+from cgtorch.tabletop.robot_folder.chains import (
+    ARM,
     LEAST_JOINTS,
+    chains_of,
+    slides_upright,
+    told,
+)
+from cgtorch.tabletop.robot_folder.structure import (
     Array,
     Structure,
     Tool,
@@ -23,13 +30,14 @@ from cgtorch.tabletop.robot_folder.structure import (
 )
 
 FLOOR_LINK = "base_footprint"
+WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+VIRTUAL = 2  # slides of a link without a body, from which they are a virtual base
 PLACES = ("world", "map", "odom")
 """Names of root links that do not belong to the robot."""
 OFF_FLOOR = 0.02  # m that the lowest point may be from the base frame's plane
 LOW = 0.5  # m: shapes that begin below are seen by the footprint
 ABOVE_WHEELS = 0.3  # m: no arm reaches shapes that end below
 SHOULDER = 1.0  # m above the floor, where a torso holds its arms
-UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
 
 
 @dataclass(frozen=True)
@@ -79,13 +87,11 @@ def propose(
     for name in wishes.held:
         urdf.joint(name)
     urdf.model.update_cfg(_at_rest(structure, set()) | dict(wishes.held))
-    hands = [_hand_of(structure, arm) for arm in wishes.arms] or structure.hands()
-    if not hands:
-        raise RobotError(
-            f"URDF {str(urdf.path)!r} has no chain of {LEAST_JOINTS} joints or more from "
-            f"{base!r} to a hand: name the arms by --arm NAME=BASE_LINK:TOOL_FRAME"
-        )
-    shared, chains = _chains(structure, hands)
+    if wishes.arms:
+        hands = [_hand_of(structure, arm) for arm in wishes.arms]
+        shared, chains = _chains(structure, hands)
+    else:
+        hands, shared, chains = _found(structure, notes)
     opened = {k: v for hand in hands for k, v in open_fingers(structure, hand).items()}
     torso = _torso(structure, shared, chains, wishes)
     in_arms = {joint.name for chain in chains for joint in chain}
@@ -101,6 +107,13 @@ def propose(
         urdf, arms = _arms(structure, hands, chains, notes)
         structure = Structure(urdf, base, corners)
         urdf.model.update_cfg(held if torso is None else {**held, torso: position})
+    for arm, chain in zip(arms, chains, strict=True):
+        if chain and not any(len(structure.points(n)) for n in structure.hanging(chain[0].child)):
+            raise RobotError(
+                f"URDF {str(urdf.path)!r}: nothing of arm {arm.name!r}, from joint "
+                f"{chain[0].name!r} on, has a shape: add collision or visual shapes, by which it "
+                "is seen what the arm touches"
+            )
     moved = {name for chain in chains for name in structure.hanging(chain[0].child)}
     body = wishes.body or _body(structure, moved)
     words = RobotDescription(
@@ -122,9 +135,10 @@ def _base(structure: Structure, wishes: Wishes, notes: list[str]) -> tuple[Urdf,
     urdf, base = structure.urdf, structure.base
     if wishes.base_frame is not None:
         return urdf, str(urdf.link(wishes.base_frame).name)
+    base = _without_virtual(structure, notes)
     if base in PLACES and len(structure.below[base]) == 1:
         base = structure.below[base][0].child
-        structure = replace(structure, base=base)
+    structure = replace(structure, base=base)
     urdf.model.update_cfg(_at_rest(structure, set()))
     known = [link for link in structure.rigid(base) if "footprint" in link]
     if known:
@@ -157,6 +171,26 @@ def _base(structure: Structure, wishes: Wishes, notes: list[str]) -> tuple[Urdf,
     return checked_urdf(urdf.path, root), name
 
 
+def _without_virtual(structure: Structure, notes: list[str]) -> str:
+    """The link below the joints by which a URDF lets its base drive, if it has two such slides."""
+    link, virtual = structure.base, list[Any]()
+    while len(structure.below[link]) == 1 and not _has_body(structure, link):
+        joint = structure.below[link][0]
+        virtual += [joint] if joint.type in MOVING else []
+        link = joint.child
+    slides = [j for j in virtual if j.type == "prismatic" and not slides_upright(structure, j)]
+    if len(slides) < VIRTUAL:
+        return structure.base
+    names = ", ".join(joint.name for joint in virtual)
+    notes.append(f"{names} are taken for how the base drives, so that {link!r} is the base")
+    return link
+
+
+def _has_body(structure: Structure, link: str) -> bool:
+    inertial = structure.urdf.link(link).inertial
+    return bool(len(structure.seen([link]))) or bool(inertial is not None and inertial.mass)
+
+
 def _add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False) -> None:
     """Add a link at a pose in the frame of another; with `above`, as the parent of the other."""
     etree.SubElement(root, "link", name=name)
@@ -177,6 +211,23 @@ def _at_rest(structure: Structure, others: set[str]) -> dict[str, float]:
     }
 
 
+def _found(structure: Structure, notes: list[str]) -> tuple[list[str], list[Any], list[list[Any]]]:
+    """The hands of the arms that are found, the joints of their torso, and those of each arm."""
+    every = chains_of(structure)
+    arms = [chain for chain in every if chain.kind == ARM]
+    others = told(every)
+    if not arms:
+        raise RobotError(
+            f"URDF {str(structure.urdf.path)!r} has no chain of {LEAST_JOINTS} joints or more from "
+            f"a body or torso to a hand{f' (no arms: {others})' if others else ''}: name the arms "
+            "by --arm NAME=BASE_LINK:TOOL_FRAME"
+        )
+    if others:
+        notes.append(f"no arms: {others}; name them by --arm if that is wrong")
+    shared = {joint.name: joint for arm in arms for joint in arm.joints[: arm.shared]}
+    return [arm.link for arm in arms], list(shared.values()), [list(arm.own) for arm in arms]
+
+
 def _hand_of(structure: Structure, arm: Arm) -> str:
     """The first link of the rigid body of an arm's tool frame."""
     joints = structure.urdf.joints_between(arm.base_link, arm.tool_frame)
@@ -192,14 +243,9 @@ def _chains(structure: Structure, hands: list[str]) -> tuple[list[Any], list[lis
         while len({path[count].name for path in paths if len(path) > count}) == 1:
             count += 1
     for i, joint in enumerate(paths[0][: len(paths[0]) - LEAST_JOINTS]):
-        if i >= count and _slides_upright(structure, joint):
+        if i >= count and slides_upright(structure, joint):
             count = i + 1
     return paths[0][:count], [path[count:] for path in paths]
-
-
-def _slides_upright(structure: Structure, joint: Any) -> bool:
-    axis = structure.pose(joint.child)[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
-    return joint.type == "prismatic" and abs(float(axis[2])) > UPRIGHT
 
 
 def _torso(
@@ -207,7 +253,7 @@ def _torso(
 ) -> str | None:
     if wishes.torso_joint is not None:
         return str(structure.urdf.joint(wishes.torso_joint).name) if wishes.torso_joint else None
-    slides = [joint.name for joint in shared if _slides_upright(structure, joint)]
+    slides = [joint.name for joint in shared if slides_upright(structure, joint)]
     return slides[-1] if slides else None
 
 
@@ -252,9 +298,24 @@ def _where(tool: Tool) -> str:
 
 
 def _names(structure: Structure, chains: list[list[Any]]) -> list[str]:
-    """Left and right for two arms side by side, else numbers."""
+    """Left and right as all their links are named, or for two arms side by side; else numbers."""
     if len(chains) == 1:
         return ["arm"]
+    sides = [{_side(joint.child) for joint in chain} for chain in chains]
+    if sorted(map(sorted, sides)) == [["left"], ["right"]]:
+        return [next(iter(side)) for side in sides]
+    return _numbered(structure, chains)
+
+
+def _side(link: str) -> str:
+    """The side in a link's name, "left" or "right"; "" if there is none or both."""
+    words = {word.lower() for word in WORD.findall(link)}
+    found = [side for side in ("left", "right") if words & {side, side[0]}]
+    return found[0] if len(found) == 1 else ""
+
+
+def _numbered(structure: Structure, chains: list[list[Any]]) -> list[str]:
+    """Left and right for two arms side by side, else numbers."""
     sides = [float(structure.pose(chain[0].child)[1, 3]) for chain in chains]
     if len(chains) == 2 and min(sides) < 0 < max(sides):
         return ["left" if side > 0 else "right" for side in sides]

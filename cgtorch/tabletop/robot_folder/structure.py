@@ -14,8 +14,6 @@ from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf
 
 Array = NDArray[np.float64]
 
-LEAST_JOINTS = 5  # of a chain from the base to a hand
-ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
 _AROUND = 16  # points on a circle
 MOST_TRIED = 5  # finger joints of which every combination is tried
 FROM_TIP = 0.02  # m from the finger tips to the middle of an object
@@ -84,38 +82,25 @@ class Structure:
         pose = self.pose(link) if pose is None else pose
         if link in self.corners:
             return [each @ pose[:3, :3].T + pose[:3, 3] for each in self.corners[link]]
-        placed = []
-        for collision in self.urdf.link(link).collisions:
-            at = pose if collision.origin is None else pose @ collision.origin
-            placed.append(_outline(collision.geometry) @ at[:3, :3].T + at[:3, 3])
-        return placed
+        return _placed(self.urdf.link(link).collisions, pose)
 
-    def hands(self) -> list[str]:
-        """The links that begin the rigid bodies at the ends of arms.
+    def seen(self, links: Sequence[str]) -> Array:
+        """(K, 3) points in the base frame on links, or on what is seen of those without shapes."""
+        every = [
+            self.shapes(name) or _placed(self.urdf.link(name).visuals, self.pose(name))
+            for name in links
+        ]
+        return np.concatenate([np.zeros((0, 3)), *itertools.chain(*every)])
 
-        Such a body carries several fingers or nothing, hangs from the base by a chain of five
-        joints or more, and not from another such body. Legs are excluded: they reach the floor
-        where the base does not.
-        """
-        found: list[str] = []
-        floor = ON_FLOOR + self._lowest(self.hanging(self.base))
-        walks = self._lowest(self.rigid(self.base)) > floor
 
-        def look(link: str) -> None:
-            moved = self.moved(link)
-            if len(self.path(link)) >= LEAST_JOINTS and len(moved) != 1:
-                if not (walks and self._lowest(self.hanging(link)) <= floor):
-                    found.append(link)
-                return
-            for joint in moved:
-                look(joint.child)
-
-        look(self.base)
-        return found
-
-    def _lowest(self, links: list[str]) -> float:
-        """The height of the lowest point of links, m."""
-        return min((self.points(n)[:, 2].min(initial=math.inf) for n in links), default=math.inf)
+def _placed(parts: Sequence[Any], pose: Array) -> list[Array]:
+    """Points (K, 3) on collision or visual shapes of a link at a pose."""
+    places = [pose if part.origin is None else pose @ part.origin for part in parts]
+    return [
+        _outline(part.geometry) @ at[:3, :3].T + at[:3, 3]
+        for part, at in zip(parts, places, strict=True)
+        if part.geometry.mesh is None
+    ]
 
 
 def _outline(geometry: Any) -> Array:

@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 import torch
 import viser
+from markupsafe import Markup
 
-from cgtorch.ground.errors import CgtorchError, SettingsError
+from cgtorch.ground.errors import CgtorchError, SettingsError, printable
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.physics import MujocoWorld
 from cgtorch.tabletop.viewer.execution import execute, put_object, scenario_of
+from cgtorch.tabletop.viewer.origins import own_pages_only
 from cgtorch.tabletop.viewer.scene import Scene, headline, levels_html, readings_html
 from cgtorch.tabletop.viewer.timeline import (
     FPS,
@@ -31,6 +33,7 @@ from cgtorch.tabletop.world.scenarios import DRAWS
 
 NONE = "nothing"
 NOTHING = '<p style="padding:6px 12px">Choose a skill to compare with.</p>'
+SLOWEST, FASTEST = 0.25, 4.0
 APART = 4.5  # m between two skills that are compared
 GRAPH_WIDTH, CONTROLS_WIDTH = 470, 330  # px
 
@@ -90,7 +93,7 @@ class Page:
             self.playing = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
             steps = gui.add_button_group("Step", ("first", "back", "next", "last"))
             self.frame = gui.add_slider("Picture", 0, 1, 1, 0)
-            self.speed = gui.add_slider("Speed", 0.25, 4.0, 0.25, 1.0)
+            self.speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.25, 1.0)
         with gui.add_folder("Scenario"):
             self.kind = gui.add_dropdown("Scenarios", tuple(DRAWS), initial_value=wish.scenarios)
             self.number = gui.add_slider("Number", 1, max(2, wish.count), 1, 1)
@@ -101,7 +104,7 @@ class Page:
             self.against = gui.add_dropdown(
                 "Compare with", (NONE, *names), initial_value=wish.against or NONE
             )
-        self.note = gui.add_markdown("")
+        self.note = gui.add_html("")
         self.playing.on_click(lambda _: self.toggle())
         steps.on_click(lambda event: self.step(event.target.value))
         self.frame.on_update(self._seek)
@@ -114,8 +117,10 @@ class Page:
 
     def choose(self) -> None:
         """Run the chosen scenario."""
-        number = min(int(self.number.value), self.wish.count) - 1
-        self.run(scenario_of(self.kind.value, self.wish.count, int(self.seed.value), number))
+        kind, number = str(self.kind.value), _within(self.number.value, 1, self.wish.count)
+        if kind in DRAWS:
+            seed = _within(self.seed.value, 0, 2**31 - 1)
+            self.run(scenario_of(kind, self.wish.count, int(seed), int(number) - 1))
 
     def run(self, scenario: Scenarios | None = None, play: bool = False) -> None:
         """Run the chosen skills, or show why that is impossible and keep what is shown."""
@@ -123,23 +128,27 @@ class Page:
             try:
                 self._run(self.scenario if scenario is None else scenario)
             except CgtorchError as e:
-                self.note.content = f"**Not run:** {e}"
+                self.note.content = _note(("Not run", str(e)))
                 return
             if play:
                 self.toggle()
 
     def _run(self, scenario: Scenarios) -> None:
         """Run the chosen skills on a scenario and show them from the start."""
-        names = [n for n in (self.skill.value, self.against.value) if n != NONE]
+        names = [n for n in (self.skill.value, self.against.value) if n in self.candidates]
+        if not names:
+            return  # as no such page was served
         chosen = [self.candidates[name] for name in names]
         timelines = [_timeline(candidate, scenario) for candidate in chosen]
         self.scenario = scenario
         with self.server.atomic():
             self.pause()
             self._draw([c.domain.robot for c in chosen], timelines)
-            self.note.content = "\n\n".join(
-                f"**{name}**: {t.execution.end} after {len(t.execution.steps)} steps"
-                for name, t in zip(names, timelines, strict=True)
+            self.note.content = _note(
+                *(
+                    (name, f"{t.execution.end} after {len(t.execution.steps)} steps")
+                    for name, t in zip(names, timelines, strict=True)
+                )
             )
             self.frame.max = max(map(len, timelines)) - 1
             self.frame.value = 0
@@ -186,17 +195,25 @@ class Page:
             if self.clock is not None:
                 self.pause()
                 return
-            if self.frame.value >= self.frame.max:
+            if self._picture() >= self.frame.max:
                 self.frame.value = 0
             self.clock = 0.0
             self._wind()
             self.playing.label, self.playing.icon = "Pause", viser.Icon.PLAYER_PAUSE
 
+    def _picture(self) -> int:
+        """The picture that the slider is at."""
+        return int(_within(self.frame.value, 0, self.frame.max))
+
+    def _speed(self) -> float:
+        """How many times as fast as it happens it is shown."""
+        return _within(self.speed.value, SLOWEST, FASTEST)
+
     def _wind(self) -> None:
         """Set the clock so that the present picture is due now."""
         with self.lock:
             if self.clock is not None:
-                self.clock = time.monotonic() - self.frame.value / (FPS * self.speed.value)
+                self.clock = time.monotonic() - self._picture() / (FPS * self._speed())
 
     def pause(self) -> None:
         """Stop at the present picture."""
@@ -207,7 +224,7 @@ class Page:
         """Go to the start of another step of the first skill."""
         with self.lock:
             self.pause()
-            timeline, here, last = self.timelines[0], int(self.frame.value), int(self.frame.max)
+            timeline, here, last = self.timelines[0], self._picture(), int(self.frame.max)
             now = int(timeline.step[min(here, len(timeline) - 1)])
             back = now if here > timeline.start_of(now) else now - 1
             target = {
@@ -222,16 +239,16 @@ class Page:
         """Show the picture of the slider."""
         if event.client is not None:
             self._wind()
-        self.show(int(self.frame.value))
+        self.show(self._picture())
 
     def tick(self) -> None:
         """Continue playing."""
         with self.lock:
             if self.clock is None:
                 return
-            due = int((time.monotonic() - self.clock) * FPS * self.speed.value)
+            due = int((time.monotonic() - self.clock) * FPS * self._speed())
             self.frame.value = min(due, int(self.frame.max))
-            if self.frame.value >= self.frame.max:
+            if self._picture() >= self.frame.max:
                 self.pause()
 
     def _dragged(self, event: Any) -> None:
@@ -239,7 +256,19 @@ class Page:
         if event.phase == "end":
             with self.lock:
                 at = torch.tensor(event.target.position[:2], dtype=self.scenario.object.dtype)
-                self.run(put_object(self.scenario, at), play=True)
+                if at.isfinite().all():
+                    self.run(put_object(self.scenario, at), play=True)
+
+
+def _note(*lines: tuple[str, str]) -> str:
+    """HTML in which each line begins with something bold; both are only text."""
+    line = Markup('<p style="padding:0 12px"><b>{}</b>: {}</p>')
+    return "".join(line.format(*map(printable, each)) for each in lines)
+
+
+def _within(value: float, low: float, high: float) -> float:
+    """A number that a browser has sent, within bounds; the lower one if it is not finite."""
+    return min(max(float(value), low), high) if math.isfinite(value) else low
 
 
 def _timeline(candidate: Candidate, scenario: Scenarios) -> Timeline:
@@ -267,7 +296,7 @@ def open_page(
             f"host {host!r} cannot be listened on ({e.strerror}); give 127.0.0.1, or an address "
             "of this machine"
         ) from e
-    with contextlib.redirect_stdout(io.StringIO()):  # viser prints a table of its own
+    with contextlib.redirect_stdout(io.StringIO()), own_pages_only(host):  # viser prints a table
         server = viser.ViserServer(host=host, port=port, verbose=False)
     return Page(server, candidates, wish), f"http://{host}:{server.get_port()}"
 

@@ -56,8 +56,8 @@ def test_the_files_are_sound_before_they_are_broken(tmp_path):
         ("<sdf/>", "starts with <sdf>"),
         (BOMB, "document type"),
         ('<!DOCTYPE robot SYSTEM "file:///etc/passwd"><robot/>', "document type"),
-        ('<robot><link name="a"/><link name="a"/></robot>', "link 'a' is there 2 times"),
-        ("<robot><link/></robot>", "a link has no name"),
+        ('<robot><link name="a"/><link name="a"/></robot>', "'a' is there 2 times, in lines 1, 1"),
+        ("<robot><link/></robot>", ", line 1: a link has no name"),
         (f"<robot>{LINKS}</robot>", "2 root links"),
         ("<robot/>", "0 root links"),
         (joined("fixed", "", '<parent link="a"/>'), "joint 'j' has the child link None"),
@@ -78,9 +78,9 @@ def test_the_files_are_sound_before_they_are_broken(tmp_path):
          f'<joint name="i" type="fixed">{ENDS}</joint><joint name="j" type="fixed">'
          '<parent link="b"/><child link="a"/></joint></robot>', "loop"),
         ('<robot><link name="a"><collision><geometry><cone/></geometry></collision></link></robot>',
-         "refused by yourdfpy"),
+         "line 1: link 'a' has a collision with cone: give one of box, cylinder, sphere, capsule"),
         ('<robot><link name="a"><visual><geometry/></visual></link></robot>',
-         "refused by yourdfpy"),
+         "line 1: link 'a' has a visual with no shape: give one of"),
     ],
 )  # fmt: skip
 def test_broken_urdf(tmp_path, text, message):

@@ -1,0 +1,118 @@
+"""One episode of a Gymnasium environment, whose answers are copied and checked.
+
+Environments are the user's own code, so here is where their errors and their numbers enter.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import dataclass, field
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cgtorch.domains.gymnasium_spaces import Percepts
+from cgtorch.ground.dry_run import failed_at, kind, reason
+from cgtorch.ground.errors import CgtorchError, WorldError
+
+PRIME = 1_000_003
+KEYS = 2**48  # so that keys are whole numbers in float64
+RESET, STEP = "(observation, info)", "(observation, reward, terminated, truncated, info)"
+METHODS = {"reset": "reset(self, *, seed=None, options=None)", "step": "step(self, action)"}
+
+
+@dataclass
+class Episode:
+    """One episode in progress, which is over after at most `limit` steps.
+
+    Observations are given as the numbers (D,) of `percepts`. `keys` identify the sequence of
+    actions that led to each step; the first is that of the start.
+    """
+
+    name: str
+    environment: Any
+    percepts: Percepts
+    seed: int
+    limit: float = math.inf
+    actions: list[Any] = field(default_factory=list)
+    keys: list[int] = field(default_factory=list)
+
+    def begin(self) -> NDArray[Any]:
+        """Start again; returns the first observation. WorldError as for `play`."""
+        self.actions, self.keys = [], []
+        seen, _ = self._asked("reset", lambda: self.environment.reset(seed=self.seed), RESET)
+        self.keys.append(self.seed % KEYS)
+        return seen
+
+    def play(self, action: Any, control: bytes = b"") -> tuple[NDArray[Any], float, bool, Any]:
+        """The observation and reward after an action, whether the episode is over, and the info.
+
+        The action was made from `control`, by which it is known again. WorldError if the
+        environment fails, or returns something else than Gymnasium expects.
+        """
+        self.actions.append((deepcopy(action), control))  # as it may be changed in place
+        seen, gained, *ends, info = self._asked("step", lambda: self.environment.step(action), STEP)
+        self.keys.append((self.keys[-1] * PRIME + crc32(control)) % KEYS)
+        try:
+            reward, over = float(gained), sum(map(float, ends)) > 0
+        except (TypeError, ValueError):
+            said = kind((gained, *ends))
+            raise WorldError(
+                f"{self.where} gave reward, terminated and truncated as {said}; Gymnasium expects "
+                "a number, and true or false twice"
+            ) from None
+        if not math.isfinite(reward):
+            raise WorldError(f"{self.where} gave reward {reward}; give finite rewards")
+        if not isinstance(info, Mapping):
+            raise WorldError(
+                f"{self.where} returned {kind(info)} as info; Gymnasium expects a dict"
+            )
+        return seen, reward, over or len(self.actions) >= self.limit, info
+
+    def replay(self, steps: int) -> None:
+        """Play again up to a step."""
+        before = self.actions[:steps]
+        self.begin()
+        for one in before:
+            self.play(*one)
+
+    @property
+    def where(self) -> str:
+        """The environment, the seed, and the step that is played."""
+        now = f"step {len(self.actions)} after " if self.actions else ""
+        return f"environment {self.name!r} in {now}reset(seed={self.seed})"
+
+    def _asked(self, method: str, call: Callable[[], Any], form: str) -> tuple[Any, ...]:
+        """What a method returns, its first part as numbers; WorldError if it has another form."""
+        try:
+            found = call()
+        except (CgtorchError, KeyboardInterrupt):
+            raise
+        except BaseException as e:  # SystemExit, too, as it would end the program without a word
+            place = failed_at(e)
+            inside = place or not isinstance(e, TypeError)
+            advice = "correct it there" if inside else f"declare it as {METHODS[method]}"
+            raise WorldError(f"{self.where} raised {reason(e)}{place}; {advice}") from e
+        if not isinstance(found, tuple) or len(found) != form.count(",") + 1:
+            raise WorldError(f"{self.where} returned {kind(found)}; Gymnasium expects {form}")
+        return self._numbers(found[0]), *found[1:]
+
+    def _numbers(self, seen: Any) -> NDArray[Any]:
+        """The numbers (D,) of an observation."""
+        try:
+            numbers = self.percepts.of(seen)
+            finite = np.isfinite(numbers)
+        except Exception as e:  # whatever Gymnasium raises for a value of another space
+            raise WorldError(
+                f"{self.where} showed {kind(seen)} ({reason(e)}); make it a member of its "
+                "observation_space"
+            ) from e
+        if not finite.all():
+            at = int(finite.argmin())
+            raise WorldError(
+                f"{self.where} showed {self.percepts.fields[at].name} as {numbers[at]}; show "
+                "finite numbers, or leave this one out (percepts, --percepts)"
+            )
+        return numbers

@@ -1,0 +1,52 @@
+"""The cache of compiled code: only what is this user's own, and whole, is taken from it."""
+
+import os
+import stat
+import struct
+from pathlib import Path
+
+ELF, HEADER = b"\x7fELF\x02\x01", 64
+"""The begin of a library on Linux, or of a GPU's machine code, and the bytes of its header."""
+
+
+def cache_folder() -> Path:
+    """The folder of compiled code, for this user alone; OSError if it cannot be made.
+
+    Where the usual one is another's, it has this user's number in its name.
+    """
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    own = f"cgtorch-{os.geteuid()}" if hasattr(os, "geteuid") else "cgtorch"
+    for name in ("cgtorch", own):
+        (home / name).mkdir(mode=0o700, parents=True, exist_ok=True)
+        if is_own(home / name):
+            return home / name
+    raise PermissionError(f"the cache in {home} belongs to others")
+
+
+def is_own(path: Path) -> bool:
+    """Whether a file or folder, and no link, is this user's, and nobody else can write to it."""
+    if not hasattr(os, "geteuid"):
+        return True  # a system without users' numbers
+    about = path.lstat()
+    others = about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return about.st_uid == os.geteuid() and not others and not stat.S_ISLNK(about.st_mode)
+
+
+def is_whole(path: Path) -> bool:
+    """Whether compiled code is there, is this user's, and is not cut off.
+
+    To load a library that was cut would end the process. In ELF the table of sections comes last.
+    """
+    try:
+        own, size = is_own(path), path.stat().st_size
+        with path.open("rb") as file:
+            head = file.read(HEADER)
+    except OSError:
+        return False
+    if not (own and len(head) == HEADER):
+        return False
+    (table,), (each, count) = (
+        struct.unpack_from("<Q", head, 40),
+        struct.unpack_from("<HH", head, 58),
+    )
+    return not head.startswith(ELF) or table + each * count <= size

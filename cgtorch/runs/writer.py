@@ -1,0 +1,111 @@
+"""One writer to a run: a lock on a file that is kept open, which ends with its process.
+
+`flock` leaves nothing behind that could outlive a process or a reboot, and the lock stays with a
+folder that is renamed. What the file says is only for the one who comes second.
+"""
+
+import errno
+import json
+import os
+import platform
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.errors import RunError
+from cgtorch.ground.files import strict_json, writing
+
+try:
+    import fcntl
+except ImportError:  # on Windows, where nothing is locked
+    fcntl = None  # type: ignore[assignment]
+
+WRITER = "writer.json"
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+"""The errors of file systems without locks, on which a run is written without one."""
+_held = set[int]()
+
+
+@contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """A context in which no other process, and nobody else in this one, writes to a run.
+
+    The first rank holds the lock for all. RunError if another has it, the file cannot be made,
+    or the folder goes away meanwhile.
+    """
+    failure, file = "", -1
+    if ranks.first():
+        with writing(folder):
+            file = os.open(folder / WRITER, os.O_RDWR | os.O_CREAT, 0o666)
+        failure = _refused(folder, file)
+    try:
+        if said := ranks.broadcast(failure):
+            raise RunError(said)
+        yield
+    except OSError as e:
+        if file in _held and not folder.is_dir():
+            raise RunError(
+                f"run {str(folder)!r} is no longer there{_now_at(file)}; continue it at its new "
+                "place (Run.resume, --resume), or bring it back"
+            ) from e
+        raise
+    finally:
+        if file in _held:
+            fcntl.flock(file, fcntl.LOCK_UN)  # also for forked processes that have the file
+        _held.discard(file)
+        if file >= 0:
+            os.close(file)
+
+
+def _refused(folder: Path, file: int) -> str:
+    """Lock an open file, and write into it who has it; a message if another has."""
+    try:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _held.add(file)
+    except BlockingIOError:
+        return (
+            f"run {str(folder)!r} is written by {_about(os.pread(file, 4096, 0))}; wait for its "
+            "end, stop it, or train in another folder (folder, --run-dir)"
+        )
+    except OSError as e:
+        if e.errno not in NO_LOCKS:
+            raise
+    about = {"process": os.getpid(), "machine": platform.node(), "since": int(time.time())}
+    with writing(folder):
+        os.ftruncate(file, 0)
+        os.pwrite(file, json.dumps(about).encode(), 0)
+    return ""
+
+
+def _about(said: bytes) -> str:
+    """Who writes, and since when, as far as the file tells."""
+    try:
+        about = strict_json(said.decode())
+        since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(int(about["since"])))
+        return f"process {int(about['process'])} on {about['machine']!s:.40} since {since}"
+    except (ValueError, TypeError, KeyError, RecursionError, OverflowError, OSError):
+        return "another process"
+
+
+def _now_at(file: int) -> str:
+    """Where the folder of an open file is now, if the system tells."""
+    with suppress(OSError):
+        place = Path(os.readlink(f"/proc/self/fd/{file}"))
+        if place.exists():
+            return f" but at {str(place.parent)!r}"
+    return ""
+
+
+def _let_go() -> None:
+    """Close the files in a forked process, which would hold the locks beyond its parent's end."""
+    for file in _held:
+        with suppress(OSError):
+            os.close(file)
+    _held.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_let_go)

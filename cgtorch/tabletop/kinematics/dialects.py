@@ -1,0 +1,61 @@
+"""What URDFs have beyond the format, or leave out: capsules, and limits that are not given."""
+
+import copy
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from trimesh import transformations
+
+from cgtorch.ground.errors import RobotError
+
+SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
+
+
+def completed(root: Any, where: str) -> None:
+    """Turn a checked tree of elements, in place, into one that every reader understands.
+
+    A capsule becomes a cylinder and two spheres. A limit without a number is 0, as the format says.
+    RobotError for a shape that is none of `SHAPES`.
+    """
+    for link in root.findall("link"):
+        for part in [*link.findall("collision"), *link.findall("visual")]:
+            shapes = part.findall("geometry/*")
+            names = [shape.tag for shape in shapes]
+            if len(names) != 1 or names[0] not in SHAPES:
+                raise RobotError(
+                    f"{where}, line {part.sourceline}: link {link.get('name')!r} has a {part.tag} "
+                    f"with {' and '.join(map(str, names)) or 'no shape'}: give one of "
+                    f"{', '.join(SHAPES)}"
+                )
+            if names == ["capsule"]:
+                _replace(part, shapes[0])
+    for limit in root.iterfind("joint/limit"):
+        for name in ("lower", "upper"):
+            limit.set(name, limit.get(name, "0"))
+
+
+def _replace(part: Any, shape: Any) -> None:
+    """A cylinder and two spheres in place of a capsule along z, whose length is between these."""
+    radius, length = shape.get("radius", "0"), float(shape.get("length", "0"))
+    origin = part.find("origin")
+    given = {} if origin is None else origin.attrib
+    xyz, rpy = (
+        [float(number) for number in given.get(name, "0 0 0").replace(",", " ").split()]
+        for name in ("xyz", "rpy")
+    )
+    turn = transformations.euler_matrix(*rpy, "sxyz")[:3, :3]
+    for end in (-length / 2, 0.0, length / 2):
+        made = copy.deepcopy(part)
+        for old in [*made.findall("origin"), *made.findall("geometry")]:
+            made.remove(old)
+        place = np.asarray(xyz) + turn @ [0, 0, end]
+        words = (" ".join(repr(float(x)) for x in numbers) for numbers in (place, rpy))
+        made.insert(0, etree.Element("origin", dict(zip(("xyz", "rpy"), words, strict=True))))
+        geometry = etree.SubElement(made, "geometry")
+        if end:
+            etree.SubElement(geometry, "sphere", radius=radius)
+        else:
+            etree.SubElement(geometry, "cylinder", radius=radius, length=repr(length))
+        part.addprevious(made)
+    part.getparent().remove(part)

@@ -1,0 +1,200 @@
+"""Which chains of joints are arms, and what the others are.
+
+An arm is a chain that begins after the torso, which several chains share, and ends in a hand or
+far from where it begins. Legs, heads and short chains are told apart by what they carry, by where
+they begin, and by whether they stand on the floor.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cgtorch.tabletop.robot_folder.structure import Structure
+
+LEAST_JOINTS = 5  # of an arm, after the torso
+FEWEST = 2  # joints of a chain after a body that make this body a torso
+TOLD = 3  # joints of a chain that is no arm from which it is told
+ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
+FINGERS = ((9, 0.2), (4, 0.3))  # the most joints of a finger, and how far it reaches at most, m
+JAW = 0.6  # of the reach of a jaw, that of what it closes against
+ASIDE = 0.2  # of its reach, how far its middle is from its axis at least
+ACROSS = 0.5  # cosine of its axis to the way to its tip
+DOWN = 0.6  # of the reach of a leg, how far below its begin the floor is
+NEAR = 0.5  # of the farthest reach of a chain, that of one that is no arm
+UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
+
+ARM, LEG, HEAD, SHORT, CLOSE = (
+    "arm", "a leg", "without fingers, which others have", "too few joints", "its end is close",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A chain of joints from the base to an end.
+
+    Attributes:
+        link: The link that begins the rigid body at its end.
+        joints: Its independent moving joints, from the base on.
+        shared: How many of these belong to the torso.
+        fingers: Whether the body at its end has fingers or a jaw.
+        kind: `ARM`, or why it is none.
+    """
+
+    link: str
+    joints: tuple[Any, ...]
+    shared: int
+    fingers: bool
+    kind: str = ARM
+
+    @property
+    def own(self) -> tuple[Any, ...]:
+        """The joints after the torso."""
+        return self.joints[self.shared :]
+
+    def __str__(self) -> str:
+        first, last = self.own[0].name, self.own[-1].name
+        return f"{len(self.own)} joints from {first!r} to {last!r}"
+
+
+def chains_of(structure: Structure) -> list[Chain]:
+    """All chains of at least two joints that end somewhere, with what they are."""
+    ends = list(_ends(structure, structure.base))
+    paths = [structure.path(link) for link, _ in ends]
+    found = [
+        Chain(link, tuple(path), _shared(structure, path, paths), fingers)
+        for (link, fingers), path in zip(ends, paths, strict=True)
+    ]
+    found = [chain for chain in found if len(chain.own) >= FEWEST]
+    long = [chain for chain in found if len(chain.own) >= LEAST_JOINTS]
+    fingered = any(chain.fingers for chain in long)
+    legs = _legs(structure, long)
+    reach = {chain.link: _reach(structure, chain) for chain in long if chain.link not in legs}
+
+    def kind(chain: Chain) -> str:
+        if chain not in long:
+            return SHORT
+        if chain.link in legs:
+            return LEG
+        if fingered and not chain.fingers:
+            return HEAD
+        return ARM if reach[chain.link] >= NEAR * max(reach.values()) else CLOSE
+
+    return [replace(chain, kind=kind(chain)) for chain in found]
+
+
+def told(chains: Sequence[Chain]) -> str:
+    """What is no arm, and why, in words; "" if there is nothing."""
+    others = [c for c in chains if c.kind != ARM and (len(c.own) >= TOLD or c.kind != SHORT)]
+    return "; ".join(f"{chain} ({chain.kind})" for chain in others)
+
+
+def slides_upright(structure: Structure, joint: Any) -> bool:
+    """Whether a joint moves what it carries up and down."""
+    axis = structure.pose(joint.child)[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
+    return joint.type == "prismatic" and abs(float(axis[2])) > UPRIGHT
+
+
+def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
+    """The bodies at the ends of what hangs from a link, and whether they have fingers."""
+    moved = structure.moved(link)
+    if len(moved) == 1:
+        fingers = moved if _is_jaw(structure, link, moved[0]) else []
+    else:
+        fingers = [joint for joint in moved if _is_finger(structure, joint)]
+    further = [joint for joint in moved if joint not in fingers]
+    if not further and link != structure.base:
+        yield link, bool(fingers)
+    for joint in further:
+        yield from _ends(structure, joint.child)
+
+
+def _shared(structure: Structure, path: list[Any], paths: list[list[Any]]) -> int:
+    """How many joints of a path are the torso's: those of other chains, or upright slides."""
+    count = 0
+    for other in paths:
+        both = [one is two for one, two in zip(path, other, strict=False)]
+        same = both.index(False) if False in both else len(both)
+        if other is not path and len(other) - same >= FEWEST:
+            count = max(count, same)
+    for i, joint in enumerate(path[: len(path) - LEAST_JOINTS]):
+        if i >= count and slides_upright(structure, joint):
+            count = i + 1
+    return count
+
+
+def _is_finger(structure: Structure, joint: Any) -> bool:
+    """Whether what hangs from a joint is as short as a finger."""
+    depth, reach = _depth(structure, joint), _extent(structure, joint.child)
+    return any(depth <= most and reach <= far for most, far in FINGERS)
+
+
+def _is_jaw(structure: Structure, link: str, joint: Any) -> bool:
+    """Whether a joint moves a jaw, which closes against a part of the body that carries it."""
+    if _depth(structure, joint) > 1 or not _is_finger(structure, joint):
+        return False
+    pose = structure.pose(joint.child)
+    jaw = structure.seen(structure.hanging(joint.child)) - pose[:3, 3]
+    other = structure.seen(structure.rigid(link)) - pose[:3, 3]
+    if not len(jaw) or not len(other):
+        return len(other) > 0  # what moves nothing that is seen is no wrist
+    middle = jaw.mean(axis=0)
+    aside = float(np.linalg.norm(middle))
+    if aside < ASIDE * float(np.linalg.norm(jaw, axis=1).max()):
+        return False  # it lies around its axis
+    way = middle / aside
+    turned = abs(float(pose[:3, :3] @ np.asarray(joint.axis, dtype=np.float64) @ way))
+    return bool(turned < ACROSS and (other @ way).max() >= JAW * (jaw @ way).max())
+
+
+def _depth(structure: Structure, joint: Any) -> int:
+    """The most independent joints in a row, from this one on."""
+    deeper = (_depth(structure, each) for each in structure.moved(joint.child))
+    return (joint.mimic is None) + max(deeper, default=0)
+
+
+def _extent(structure: Structure, link: str) -> float:
+    """How far what hangs from a link reaches from it, m."""
+    start = structure.pose(link)[:3, 3]
+    links = structure.hanging(link)
+    frames = np.stack([structure.pose(name)[:3, 3] for name in links])
+    points = np.concatenate([frames, structure.seen(links)])
+    return float(np.linalg.norm(points - start, axis=1).max())
+
+
+def _reach(structure: Structure, chain: Chain) -> float:
+    """How far a chain could reach from its first joint, m."""
+    places = [structure.pose(joint.child)[:3, 3] for joint in chain.own]
+    lengths = np.linalg.norm(np.diff(np.stack(places), axis=0), axis=1)
+    return float(lengths.sum()) + _extent(structure, chain.link)
+
+
+def _legs(structure: Structure, long: list[Chain]) -> set[str]:
+    """The ends of chains without fingers on which a robot stands.
+
+    They hang from the base where others hang from a torso; or two or more of them reach the floor,
+    where the base does not.
+    """
+    plain = [chain for chain in long if not chain.fingers]
+    torso = any(chain.shared for chain in long)
+    found = {chain.link for chain in plain if torso and not chain.shared}
+    floor = ON_FLOOR + _lowest(structure, structure.hanging(structure.base))
+    if _lowest(structure, structure.rigid(structure.base)) > floor:
+        standing = {chain.link for chain in plain if _stands(structure, chain, floor)}
+        found |= standing if len(standing) > 1 else set()
+    return found
+
+
+def _stands(structure: Structure, chain: Chain, floor: float) -> bool:
+    """Whether a chain from the base leads down to the floor."""
+    first = chain.own[0].child
+    low = _lowest(structure, structure.hanging(first))
+    drop = float(structure.pose(first)[2, 3]) - low
+    return not chain.shared and low <= floor and drop >= DOWN * _reach(structure, chain)
+
+
+def _lowest(structure: Structure, links: list[str]) -> float:
+    """The height of the lowest point of links, m."""
+    return float(structure.seen(links)[:, 2].min(initial=math.inf))
