@@ -23,6 +23,7 @@ Examples:
   cgtorch-evaluate runs/reference
   cgtorch-evaluate runs/seed-0/S2 --scenarios right --count 100 --seed 3
   cgtorch-evaluate runs/reference --scenarios general --picture scenes.png
+  cgtorch-evaluate runs/push --failures why
   cgtorch-evaluate runs/auto --skill auto-1
   cgtorch-evaluate skill.json --count 1000 --json
   cgtorch-evaluate runs/reference --world mujoco --count 200
@@ -47,6 +48,12 @@ Examples:
     "--picture",
     type=click.Path(path_type=Path, dir_okay=False),
     help=f"Draw the first {PICTURED} scenarios into this PNG file, if the domain draws any.",
+)
+@click.option(
+    "--failures",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Write why the skill fails into this folder: each kind of failure once, with its way "
+    "through the graph, what Γ and C say, and a film where the domain can draw.",
 )
 def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
@@ -85,6 +92,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     }
     if rest["picture"]:
         _draw(rest["picture"], score, chosen)
+    told = _explained(rest["failures"], score, chosen, domain, quiet) if rest["failures"] else ""
     own, predicted, noise = _share(score.successes, score.tried), None, None
     if chosen.run is not None and chosen.stage is not None:
         predicted, noise = _of_run(chosen, score, seed, quiet)
@@ -99,6 +107,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
             "predicted": predicted,
             "w_other_noise": noise,
             **({"other_measures": measures} if measures else {}),
+            "rows": _rows(score),
         }
         click.echo(json.dumps(result))
         return
@@ -114,6 +123,33 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
         )
     if noise is not None:
         common.say(f"W under other noise, when it was accepted: {_as_text(noise)}")
+    if told:
+        common.say(told)
+
+
+def _rows(score: "Score") -> list[dict[str, Any]]:
+    """A row for each scenario, in their order; a return that is not finite is None."""
+    count = len(score.succeeded)
+    returns = [None] * count if score.returns is None else score.returns.tolist()
+    return [
+        {"succeeded": good, "return": value if value is not None and isfinite(value) else None}
+        for good, value in zip(score.succeeded.tolist(), returns, strict=True)
+    ]
+
+
+def _explained(
+    folder: Path, score: "Score", chosen: "Chosen", domain: "Domain[Any]", quiet: bool
+) -> str:
+    """Write why the skill fails, with what the models of its stage say, and tell the files."""
+    from cgtorch.runs.storage import stage_knowledge
+    from cgtorch.training.failures import failures_of, write_failures
+
+    run, stage = chosen.run, chosen.stage
+    known = None if run is None or stage is None else stage_knowledge(run, stage)
+    with common.waiting(f"looking at failures of {chosen.skill.name}", quiet):
+        kinds = failures_of(chosen.skill, domain, score, known)
+        paths = write_failures(folder, chosen.skill, domain, score, kinds)
+    return f"kinds of failure: {len(kinds)}, in {', '.join(map(str, paths))}"
 
 
 def _of_run(
@@ -121,13 +157,12 @@ def _of_run(
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """The shares of predicted successes, and of W under other noise; None without models, W."""
     from cgtorch.runs.log import read_log
-    from cgtorch.runs.storage import CLASSIFIER, GAMMA, load_knowledge
+    from cgtorch.runs.storage import stage_knowledge
     from cgtorch.training.evaluate import robust_successes
 
     run, stage, skill, kept = chosen.run, chosen.stage, chosen.skill, None
     assert run is not None and stage is not None  # noqa: S101, PT018
-    if any((stage / name).exists() for name in (GAMMA, CLASSIFIER)):  # or it was passed on without
-        knowledge = load_knowledge(stage, run.models.unfitted())
+    if (knowledge := stage_knowledge(run, stage)) is not None:
         with common.waiting(f"predicting robust successes of {skill.name}", quiet):
             kept = robust_successes(score, skill, knowledge, run.models, seed)
     accepted = (row for row in read_log(run.folder) if row["event"] == "accepted")

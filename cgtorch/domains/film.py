@@ -14,6 +14,7 @@ from cgtorch.graphs import Skill
 from cgtorch.ground.environment import Environment
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import rollout
+from cgtorch.simulation.tracing import end_of as how_ended
 
 WIDTH = 480  # px
 END = 1200  # ms that the last picture is shown
@@ -70,7 +71,7 @@ def end_of(skill: Skill, world: Environment) -> str:
     """How a skill ends in a world of one scenario: success, failure or timeout."""
     with torch.no_grad():
         runs = rollout(skill.graph, skill.actions, world, max_transitions=skill.max_transitions)
-    return "success" if runs.succeeded else "timeout" if runs.timed_out else "failure"
+    return how_ended(runs)
 
 
 def renderer(model: Any, width: int) -> Any:

@@ -72,6 +72,13 @@ def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) ->
     save_model(folder / CLASSIFIER, knowledge.classifier, knowledge.classifier_report)
 
 
+def stage_knowledge(run: "StoredRun", stage: Path) -> Knowledge | None:
+    """Γ, C and data of a stage; None if the run learns none, or the stage was passed on without."""
+    if not any((stage / name).exists() for name in (GAMMA, CLASSIFIER)):
+        return None
+    return load_knowledge(stage, run.models.unfitted())
+
+
 def load_knowledge(folder: Path, unfitted: Unfitted) -> Knowledge:
     """Read data, Γ and C from a folder.
 

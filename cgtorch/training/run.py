@@ -23,8 +23,10 @@ from cgtorch.ground.files import write_bytes
 from cgtorch.report import ProgressDisplay
 from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings, defaults_of
+from cgtorch.runs.storage import stage_knowledge
 from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
+from cgtorch.training.failures import Failure, failures_of
 from cgtorch.training.session import (
     TrainingRequest,
     UserWatch,
@@ -82,6 +84,11 @@ class Run(StoredRun):
         """Try a skill, by default the last one, on fresh scenarios of a kind in the world."""
         skill = self.skill if skill is None else skill
         return evaluate_skill(skill, self.domain, scenarios or self.kind, count, seed)
+
+    def failures(self, score: Score, skill: Skill | None = None) -> list[Failure]:
+        """The kinds of failure in a score of `evaluate`, each with its way through the graph."""
+        known = stage_knowledge(self, self.folder / self.stages[-1])
+        return failures_of(self.skill if skill is None else skill, self.domain, score, known)
 
     def report(self, path: Path | str) -> None:
         """Write the run as one HTML page."""

@@ -1,5 +1,6 @@
 """`cgtorch-evaluate`: a run, a stage of it, a skill file; for people and for programs."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,7 @@ def test_a_run_and_its_stages(
         "mean_return": None,
         "predicted": share(kept.successes, kept.tried),
         "w_other_noise": share(again["succeeded"], again["tried"]),
+        "rows": [{"succeeded": good, "return": None} for good in score.succeeded.tolist()],
     }
     text = shell.does(EVALUATE, *words).out
     assert f"{name} on near: {score.successes} / 12 succeeded" in text
@@ -53,6 +55,24 @@ def test_a_run_and_its_stages(
     assert shell.told(EVALUATE, ".", *words[1:]) == found, "of the current folder"
     assert shell.told(EVALUATE, trained.folder, "--skill", name, *words[1:]) == found
     assert listing(trained.folder) == before
+
+
+def test_why_a_skill_fails(shell: Shell, trained: Trained, tmp_path: Path) -> None:
+    words = trained.folder, "--count", 30, "--scenarios", "far", "--failures", tmp_path / "why"
+    ended = shell.does(EVALUATE, *words)
+    text = (tmp_path / "why" / "failures.md").read_text()
+    assert f"kinds of failure: {text.count('## ')}, in {tmp_path / 'why' / 'failures.md'}" in (
+        ended.out
+    )
+    run, skill = last_skill(trained.folder)
+    score = evaluate_skill(skill, run.domain, "far", 30, 0)
+    assert f"{30 - score.successes} of 30 scenarios failed." in text
+    kinds = json.loads((tmp_path / "why" / "failures.json").read_text())["kinds"]
+    assert all(act["chance"] is not None for kind in kinds for act in kind["way"])
+    told = shell.told(EVALUATE, *words)
+    assert [row["succeeded"] for row in told["rows"]] == score.succeeded.tolist()
+    (tmp_path / "file").touch()
+    assert "file" in shell.refuses(EVALUATE, trained.folder, "--failures", tmp_path / "file")
 
 
 def test_a_skill_file_alone(shell: Shell, trained: Trained, tmp_path: Path) -> None:

@@ -20,12 +20,12 @@ from cgtorch.graphs import Skill
 from cgtorch.graphs.clusters import Cluster, clusters_of
 from cgtorch.report.graph_picture import draw_clusters, gid_of
 from cgtorch.report.html import STYLE, inline_svg, templates
+from cgtorch.simulation.tracing import Step
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.kinematics.grasping import GRASP_HEIGHT, TABLE_THICKNESS
 from cgtorch.tabletop.kinematics.urdf import at_rest
 from cgtorch.tabletop.physics import Thing
-from cgtorch.tabletop.viewer.execution import Step
 from cgtorch.tabletop.viewer.timeline import Timeline
 from cgtorch.tabletop.world.geometry import box_rectangle, corners, moved, rotate
 from cgtorch.tabletop.world.percepts import BOX, percept_fields, present

@@ -10,8 +10,9 @@ from cgtorch.graphs import ActionSet, Graphs, Skill
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import rollout
+from cgtorch.simulation.tracing import Step
 from cgtorch.tabletop.actions import Detect
-from cgtorch.tabletop.viewer.execution import FROM_EDGE, Step, execute, put_object, scenario_of
+from cgtorch.tabletop.viewer.execution import FROM_EDGE, execute, put_object, scenario_of
 from cgtorch.tabletop.world import draw_of
 from cgtorch.tabletop.world.geometry import rotate
 from cgtorch.tabletop.world.scenarios import DRAWS
