@@ -140,7 +140,7 @@ def _is_jaw(structure: Structure, link: str, joint: Any) -> bool:
     other = structure.seen(structure.rigid(link)) - pose[:3, 3]
     if not len(jaw) or not len(other):
         return len(other) > 0  # what moves nothing that is seen is no wrist
-    middle = jaw.mean(axis=0)
+    middle = (jaw.min(axis=0) + jaw.max(axis=0)) / 2
     aside = float(np.linalg.norm(middle))
     if aside < ASIDE * float(np.linalg.norm(jaw, axis=1).max()):
         return False  # it lies around its axis

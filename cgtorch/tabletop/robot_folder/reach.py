@@ -1,5 +1,6 @@
 """What a robot can grasp on a table before it, and where it cannot, why."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ OTHERS = (
     0.05,
 )  # m: other heights, where nothing on that is grasped
 AHEAD = 0.05  # m from the footprint to that table
+TURNED = 60  # degrees from x at rest that are told
+SIDEWAYS = 0.2  # of an arm's length, how far it leads to the side at least to point somewhere
 DEPTHS, ASIDE = (0.1, 0.2, 0.3), (-0.3, 0.0, 0.3)  # m: where objects are on it
 
 
@@ -78,7 +81,12 @@ def _lacking(robot: Robot, number: int) -> tuple[float, str]:
     length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
     away = np.linalg.norm(_objects(robot, HEIGHT).numpy() - places[0], axis=1)
     about = f"arm {arm.name!r} is {length:.2f} m long from its shoulder, {places[0, 2]:.2f} m high"
-    near = float(away.min())
+    near, (x, y) = float(away.min()), (places[-1] - places[0])[:2]
+    if (
+        math.hypot(x, y) > SIDEWAYS * length
+        and abs(turn := math.degrees(math.atan2(y, x))) > TURNED
+    ):
+        about += f", and at rest it points {turn:.0f} degrees away from x"
     if near > length:
         return near - length, f"{about}, and the nearest object {near:.2f} m away from that"
     return 0.0, f"{about}, but no posture leads to an object and up with it and touches nothing"
