@@ -9,6 +9,7 @@ from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
 
+LIMITED = ("revolute", "prismatic")
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
 
 
@@ -32,7 +33,8 @@ def completed(root: Any, where: str) -> None:
                 )
             if names == ["capsule"]:
                 _replace(part, shapes[0])
-    for limit in root.iterfind("joint/limit"):
+    limited = (joint for joint in root.findall("joint") if joint.get("type") in LIMITED)
+    for limit in (each for joint in limited for each in joint.findall("limit")):
         for name in ("lower", "upper"):
             limit.set(name, limit.get(name, "0"))
 
