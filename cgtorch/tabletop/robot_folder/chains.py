@@ -101,7 +101,8 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
     """The bodies at the ends of what hangs from a link, and whether they have fingers."""
     moved = structure.moved(link)
     if len(moved) == 1:
-        fingers = moved if _is_jaw(structure, link, moved[0]) else []
+        jaw = not _depth(structure, moved[0]) or _is_jaw(structure, link, moved[0])
+        fingers = moved if jaw else []
     else:
         fingers = [joint for joint in moved if _is_finger(structure, joint)]
     further = [joint for joint in moved if joint not in fingers]
@@ -117,7 +118,8 @@ def _shared(structure: Structure, path: list[Any], paths: list[list[Any]]) -> in
     for other in paths:
         both = [one is two for one, two in zip(path, other, strict=False)]
         same = both.index(False) if False in both else len(both)
-        if other is not path and len(other) - same >= FEWEST:
+        rest, others = len(path) - same, len(other) - same
+        if other is not path and others >= FEWEST and max(rest, others) >= LEAST_JOINTS:
             count = max(count, same)
     for i, joint in enumerate(path[: len(path) - LEAST_JOINTS]):
         if i >= count and slides_upright(structure, joint):

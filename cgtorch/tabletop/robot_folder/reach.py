@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from cgtorch.tabletop.kinematics import Robot, graspable
-from cgtorch.tabletop.kinematics.urdf import MOVING
+from cgtorch.tabletop.kinematics.urdf import MOVING, at_rest
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 DEPTH, WIDTH, HEIGHT = 0.8, 1.6, 0.75  # m, of the table on which a robot is tried
@@ -76,8 +76,11 @@ def _lacking(robot: Robot, number: int) -> tuple[float, str]:
     words = robot.description
     arm, structure = words.arms[number], Structure(robot.urdf, words.base_frame)
     joints = robot.urdf.joints_between(arm.base_link, arm.tool_frame)
-    links = [joint.child for joint in joints if joint.type in MOVING]
-    places = np.stack([structure.pose(link)[:3, 3] for link in [*links, arm.tool_frame]])
+    moving = [joint for joint in joints if joint.type in MOVING]
+    robot.urdf.model.update_cfg({joint.name: at_rest(joint) for joint in moving})
+    places = np.stack(
+        [structure.pose(link)[:3, 3] for link in [*(j.child for j in moving), arm.tool_frame]]
+    )
     length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
     away = np.linalg.norm(_objects(robot, HEIGHT).numpy() - places[0], axis=1)
     about = f"arm {arm.name!r} is {length:.2f} m long from its shoulder, {places[0, 2]:.2f} m high"

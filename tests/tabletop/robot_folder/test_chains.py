@@ -133,6 +133,14 @@ def test_a_jaw_closes_against_its_hand(tmp_path, shapes, axis, wide, jaw):
     assert found == ({"hand": 6} if jaw else {"jaw": 7})
 
 
+def test_a_camera_at_an_arm_and_joints_that_follow_change_nothing(tmp_path):
+    arm = chain("arm", 6, "base", first="0 0 1")
+    camera = chain("camera", 2, "arm3", "0 0 0.2", "0.1 0 0")
+    assert arms(structure_of(tmp_path, BASE, arm, camera)) == {"arm5": 6}
+    follows = link("f") + joint("f", "arm5", more=f'<mimic joint="arm5_joint"/>{LIMIT}')
+    assert arms(structure_of(tmp_path, BASE, arm, follows)) == {"arm5": 6}
+
+
 def test_fingers_of_many_joints_are_no_arms(tmp_path):
     small = "0 0 0.015"
     hand = "".join(
