@@ -4,7 +4,7 @@ import pytest
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
-from cgtorch.tabletop.robot_folder.chains import CLOSE, HEAD, LEG, SHORT, chains_of
+from cgtorch.tabletop.robot_folder.chains import BRANCH, CLOSE, HEAD, LEG, SHORT, chains_of
 from cgtorch.tabletop.robot_folder.make import make_robot_folder
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 from cgtorch.tabletop.robot_folder.structure import Structure
@@ -135,8 +135,10 @@ def test_a_jaw_closes_against_its_hand(tmp_path, shapes, axis, wide, jaw):
 
 def test_a_camera_at_an_arm_and_joints_that_follow_change_nothing(tmp_path):
     arm = chain("arm", 6, "base", first="0 0 1")
-    camera = chain("camera", 2, "arm3", "0 0 0.2", "0.1 0 0")
-    assert arms(structure_of(tmp_path, BASE, arm, camera)) == {"arm5": 6}
+    camera = chain("camera", 2, "arm3", "0 0 0.2", "0.1 0 0"), fingers("hand", "arm5")
+    assert kinds(structure_of(tmp_path, BASE, arm, *camera)) == {"arm5": "arm", "camera1": HEAD}
+    camera = chain("camera", 2, "arm3", "0 0 0.02", "0 0 0", box("0.01 0.01 0.4"))
+    assert kinds(structure_of(tmp_path, BASE, arm, camera)) == {"arm5": "arm", "camera1": BRANCH}
     follows = link("f") + joint("f", "arm5", more=f'<mimic joint="arm5_joint"/>{LIMIT}')
     assert arms(structure_of(tmp_path, BASE, arm, follows)) == {"arm5": 6}
 
