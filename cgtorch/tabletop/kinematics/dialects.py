@@ -9,15 +9,18 @@ from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
 
+LIMITED = ("revolute", "prismatic")
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
 
 
 def completed(root: Any, where: str) -> None:
     """Turn a checked tree of elements, in place, into one that every reader understands.
 
-    A capsule becomes a cylinder and two spheres. A limit without a number is 0, as the format says.
+    A capsule becomes a cylinder and two spheres. A limit without a number is 0, as the format says,
+    and a robot without a name is called robot.
     RobotError for a shape that is none of `SHAPES`.
     """
+    root.set("name", root.get("name", "robot"))
     for link in root.findall("link"):
         for part in [*link.findall("collision"), *link.findall("visual")]:
             shapes = part.findall("geometry/*")
@@ -30,7 +33,8 @@ def completed(root: Any, where: str) -> None:
                 )
             if names == ["capsule"]:
                 _replace(part, shapes[0])
-    for limit in root.iterfind("joint/limit"):
+    limited = (joint for joint in root.findall("joint") if joint.get("type") in LIMITED)
+    for limit in (each for joint in limited for each in joint.findall("limit")):
         for name in ("lower", "upper"):
             limit.set(name, limit.get(name, "0"))
 

@@ -26,8 +26,9 @@ DOWN = 0.6  # of the reach of a leg, how far below its begin the floor is
 NEAR = 0.5  # of the farthest reach of a chain, that of one that is no arm
 UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
 
-ARM, LEG, HEAD, SHORT, CLOSE = (
+ARM, LEG, HEAD, SHORT, CLOSE, BRANCH = (
     "arm", "a leg", "without fingers, which others have", "too few joints", "its end is close",
+    "on another arm",
 )  # fmt: skip
 
 
@@ -80,6 +81,9 @@ def chains_of(structure: Structure) -> list[Chain]:
             return LEG
         if fingered and not chain.fingers:
             return HEAD
+        first = [each for each in long if each.own[0] is chain.own[0]]
+        if max(first, key=lambda each: (each.fingers, reach.get(each.link, 0.0))) is not chain:
+            return BRANCH
         return ARM if reach[chain.link] >= NEAR * max(reach.values()) else CLOSE
 
     return [replace(chain, kind=kind(chain)) for chain in found]
@@ -101,9 +105,11 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
     """The bodies at the ends of what hangs from a link, and whether they have fingers."""
     moved = structure.moved(link)
     if len(moved) == 1:
-        fingers = moved if _is_jaw(structure, link, moved[0]) else []
+        jaw = not _depth(structure, moved[0]) or _is_jaw(structure, link, moved[0])
+        fingers = moved if jaw else []
     else:
-        fingers = [joint for joint in moved if _is_finger(structure, joint)]
+        hand = len(structure.path(link)) >= LEAST_JOINTS
+        fingers = [joint for joint in moved if hand and _is_finger(structure, joint)]
     further = [joint for joint in moved if joint not in fingers]
     if not further and link != structure.base:
         yield link, bool(fingers)
@@ -117,7 +123,9 @@ def _shared(structure: Structure, path: list[Any], paths: list[list[Any]]) -> in
     for other in paths:
         both = [one is two for one, two in zip(path, other, strict=False)]
         same = both.index(False) if False in both else len(both)
-        if other is not path and len(other) - same >= FEWEST:
+        rest, others = len(path) - same, len(other) - same
+        torso = max(rest, others) >= LEAST_JOINTS or min(rest, others) > FEWEST
+        if other is not path and others >= FEWEST and torso:
             count = max(count, same)
     for i, joint in enumerate(path[: len(path) - LEAST_JOINTS]):
         if i >= count and slides_upright(structure, joint):
@@ -140,7 +148,7 @@ def _is_jaw(structure: Structure, link: str, joint: Any) -> bool:
     other = structure.seen(structure.rigid(link)) - pose[:3, 3]
     if not len(jaw) or not len(other):
         return len(other) > 0  # what moves nothing that is seen is no wrist
-    middle = jaw.mean(axis=0)
+    middle = (jaw.min(axis=0) + jaw.max(axis=0)) / 2
     aside = float(np.linalg.norm(middle))
     if aside < ASIDE * float(np.linalg.norm(jaw, axis=1).max()):
         return False  # it lies around its axis

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 _AROUND = 16  # points on a circle
 MOST_TRIED = 5  # finger joints of which every combination is tried
+JAW_OPEN, STEPS = 0.1, 17  # m between its tip and the hand's, and positions that are tried
 FROM_TIP = 0.02  # m from the finger tips to the middle of an object
 NEAR_TIP = (-0.06, 0.005)  # m along the approach, where a frame that is there may be
 ASIDE = 0.015  # m across it
@@ -136,11 +137,16 @@ class Tool:
 
 
 def open_fingers(structure: Structure, hand: str) -> dict[str, float]:
-    """Positions of a hand's joints, each at a limit, with its fingers farthest apart."""
+    """Positions of a hand's joints: each at a limit, with its fingers farthest apart.
+
+    A single jaw, which may open as wide as a right angle, is opened for an object of usual size.
+    """
     joints = [structure.above[link] for link in structure.hanging(hand)[1:]]
     joints = [j for j in joints if j.type in ("revolute", "prismatic") and j.mimic is None]
     names = [joint.name for joint in joints]
     ends = [(float(joint.limit.lower), float(joint.limit.upper)) for joint in joints]
+    if len(joints) == 1 == len(structure.moved(hand)):
+        return _jaw_opened(structure, hand, names[0], *ends[0])
     every = itertools.product(*ends) if len(names) <= MOST_TRIED else zip(*ends, strict=True)
     best, widest = dict.fromkeys(names, 0.0), -1.0
     for positions in every:
@@ -153,13 +159,32 @@ def open_fingers(structure: Structure, hand: str) -> dict[str, float]:
     return best
 
 
+def _jaw_opened(
+    structure: Structure, hand: str, name: str, low: float, high: float
+) -> dict[str, float]:
+    """The position of a hand's only jaw at which it is nearest to `JAW_OPEN`."""
+
+    def off(position: float) -> float:
+        structure.urdf.model.update_cfg({name: position})
+        return abs(_opening(structure, hand) - JAW_OPEN)
+
+    best = {name: min(np.linspace(low, high, STEPS).tolist(), key=off)}
+    structure.urdf.model.update_cfg(best)
+    return best
+
+
 def _branches(structure: Structure, hand: str) -> list[Array]:
-    """The points of each finger in the hand's frame."""
-    found = []
-    for joint in structure.moved(hand):
+    """The points of each finger in the hand's frame; a single jaw closes against the hand."""
+    found, joints = list[Array](), structure.moved(hand)
+    for joint in joints:
         links = structure.hanging(joint.child)
         points = np.concatenate([structure.points(link, hand) for link in links])
         found.extend([points] if len(points) else [])
+    if len(joints) == len(found) == 1:
+        begin = np.asarray(structure.urdf.model.get_transform(joints[0].child, hand))[:3, 3]
+        body = np.concatenate([structure.points(link, hand) for link in structure.rigid(hand)])
+        beyond = body[np.linalg.norm(body, axis=1) > np.linalg.norm(begin)]
+        found.extend([beyond] if len(beyond) else [])
     return found
 
 

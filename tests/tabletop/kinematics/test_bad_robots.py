@@ -218,3 +218,39 @@ def test_a_description_that_is_too_long_or_names_a_key_twice_among_many(tmp_path
     assert "larger than 1000000 bytes" in fails(load_description, path)
     path.write_text(json.dumps({str(i): 0 for i in range(70_000)})[:-1] + ', "69999": 1}')
     assert "key '69999' comes twice" in fails(load_description, path)
+
+
+def test_a_capsule_is_a_cylinder_and_two_spheres(tmp_path):
+    origin = '<origin xyz="1 2 3" rpy="1.5707963267948966 0 0"/>'
+    shape = '<geometry><capsule radius="0.1" length="0.4"/></geometry>'
+    parts = f"<collision>{origin}{shape}</collision><visual>{shape}</visual>"
+    urdf = load_urdf(robot(tmp_path, f'<robot><link name="a">{parts}</link></robot>'))
+    link = urdf.link("a")
+    kinds = [
+        next(k for k in ("sphere", "cylinder") if getattr(c.geometry, k)) for c in link.collisions
+    ]
+    assert kinds == ["sphere", "cylinder", "sphere"]
+    places = [c.origin[:3, 3].round(9).tolist() for c in link.collisions]
+    assert places == [[1, 2.2, 3], [1, 2, 3], [1, 1.8, 3]]
+    assert (link.collisions[1].geometry.cylinder.length, len(link.visuals)) == (0.4, 3)
+    bad = shape.replace("0.4", "nan")
+    text = f'<robot><link name="a"><collision>{bad}</collision></link></robot>'
+    assert "line 1: capsule length is 'nan'" in fails(load_urdf, robot(tmp_path, text))
+
+
+def test_a_limit_without_a_number_is_nought_as_the_format_says(tmp_path):
+    for given, wanted in (('upper="2"', (0, 2)), ('lower="-1"', (-1, 0)), ("", (0, 0))):
+        text = joined("revolute", f'<limit {given} effort="1" velocity="1"/>')
+        limit = load_urdf(robot(tmp_path, text)).joint("j").limit
+        assert (limit.lower, limit.upper) == wanted
+
+
+def test_lines_are_told(tmp_path):
+    for text, message in (
+        (
+            f"<robot>\n{LINKS}\n" + '<joint name="j" type="fixed"/></robot>',
+            "line 3: joint 'j' has the",
+        ),
+        ('<robot>\n<link name="a"/>\n<link name="a"/></robot>', "times, in lines 2, 3: keep one"),
+    ):
+        assert message in fails(load_urdf, robot(tmp_path, text))

@@ -1,0 +1,218 @@
+"""Which chains are arms: by where they begin and what they end in, not by height and joints."""
+
+import pytest
+
+from cgtorch.ground.errors import RobotError
+from cgtorch.tabletop.kinematics import load_urdf
+from cgtorch.tabletop.robot_folder.chains import BRANCH, CLOSE, HEAD, LEG, SHORT, chains_of
+from cgtorch.tabletop.robot_folder.make import make_robot_folder
+from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
+from cgtorch.tabletop.robot_folder.structure import Structure
+
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+AXES = "0 0 1", "0 1 0"
+
+
+def box(size="0.05 0.05 0.05", at="0 0 0", kind="collision"):
+    return f'<{kind}><origin xyz="{at}"/><geometry><box size="{size}"/></geometry></{kind}>'
+
+
+def link(name, shapes=None):
+    return f'<link name="{name}">{box() if shapes is None else shapes}</link>'
+
+
+def joint(name, above, at="0 0 0.1", axis="0 0 1", kind="revolute", more=LIMIT):
+    return (
+        f'<joint name="{name}_joint" type="{kind}"><parent link="{above}"/><child link="{name}"/>'
+        f'<origin xyz="{at}"/><axis xyz="{axis}"/>{more}</joint>'
+    )
+
+
+def chain(name, count, above, at="0 0 0.1", first=None, shapes=None):
+    """Links and joints of a chain that ends in nothing."""
+    parts = []
+    for i in range(count):
+        parts.append(link(f"{name}{i}", shapes))
+        parts.append(joint(f"{name}{i}", above, at if i or first is None else first, AXES[i % 2]))
+        above = f"{name}{i}"
+    return "".join(parts)
+
+
+def fingers(name, above, at="0 {} 0.05"):
+    two = (("a", 0.03), ("b", -0.03))
+    each = (
+        link(f"{name}_{x}") + joint(f"{name}_{x}", above, at.format(y), "1 0 0") for x, y in two
+    )
+    return "".join(each)
+
+
+def structure_of(tmp_path, *parts):
+    path = tmp_path / "robot.urdf"
+    path.write_text(f'<robot name="x">{"".join(parts)}</robot>')
+    urdf = load_urdf(path)
+    return Structure(urdf, urdf.model.base_link)
+
+
+def kinds(structure):
+    return {chain.link: chain.kind for chain in chains_of(structure)}
+
+
+def arms(structure):
+    return {c.link: len(c.own) for c in chains_of(structure) if c.kind == "arm"}
+
+
+BASE, PELVIS = link("base", box("0.3 0.3 1", "0 0 0.5")), link("base", box("0.3 0.3 0.2"))
+DOWN, HIPS = "0 0 -0.1", ("0 0.1 -0.2", "0 -0.1 -0.2")
+LEGS = "".join(chain(f"leg{i}_", 6, "base", DOWN, hip) for i, hip in enumerate(HIPS))
+SIDES = ("0 0.3 0", "0 -0.3 0")
+
+
+def test_hands_that_hang_below_a_raised_base_are_no_feet(tmp_path):
+    two = (
+        chain(f"arm{i}_", 6, "base", DOWN, side) + fingers(f"hand{i}", f"arm{i}_5")
+        for i, side in enumerate(SIDES)
+    )
+    neck = chain("neck", 2, "base", first="0 0 0.3")
+    assert arms(structure_of(tmp_path, PELVIS, *two, neck)) == {"arm0_5": 6, "arm1_5": 6}
+
+
+def test_joints_count_after_the_torso(tmp_path):
+    torso = chain("waist", 3, "base")
+    two = [chain(f"arm{i}_", 6, "waist2", DOWN, side) for i, side in enumerate(SIDES)]
+    neck = chain("neck", 3, "waist2", "0 0 0.2")
+    structure = structure_of(tmp_path, BASE, torso, *two, neck)
+    assert kinds(structure) == {"arm0_5": "arm", "arm1_5": "arm", "neck2": SHORT}
+    assert arms(structure) == {"arm0_5": 6, "arm1_5": 6}
+    ends = [chain(f"arm{i}_", 4, "waist2", DOWN, side) for i, side in enumerate(SIDES)]
+    assert arms(structure_of(tmp_path, BASE, torso, *ends)) == {}
+
+
+def test_legs_hang_where_arms_have_a_torso_or_reach_the_floor(tmp_path):
+    two = [chain(f"arm{i}_", 6, "waist0", "0.1 0 0", side) for i, side in enumerate(SIDES)]
+    raised = [chain(f"leg{i}_", 6, "base", "0.1 0 0", hip) for i, hip in enumerate(HIPS)]
+    for legs in (LEGS, "".join(raised)):
+        found = kinds(structure_of(tmp_path, PELVIS, chain("waist", 1, "base"), *two, legs))
+        assert found == {"arm0_5": "arm", "arm1_5": "arm", "leg0_5": LEG, "leg1_5": LEG}
+    # Without a torso, what stands are legs, and only one thing that hangs down is an arm.
+    plain = [chain(f"arm{i}_", 6, "base", "0.1 0 0", side) for i, side in enumerate(SIDES)]
+    assert kinds(structure_of(tmp_path, PELVIS, *plain, LEGS))["leg0_5"] == LEG
+    assert kinds(structure_of(tmp_path, PELVIS, *plain, LEGS))["arm0_5"] == "arm"
+    assert arms(structure_of(tmp_path, PELVIS, chain("a", 6, "base", DOWN, "0 0 -0.2"))) == {
+        "a5": 6
+    }
+    stand = (chain(f"a{i}_", 6, "base", "0.1 0 -0.01", side) for i, side in enumerate(SIDES))
+    low = link("base", box("0.3 0.3 0.05", "0 0 0.1"))
+    assert len(arms(structure_of(tmp_path, low, *stand))) == 2  # which lead to the side
+
+
+def test_a_head_without_fingers_is_no_arm_where_others_have_some(tmp_path):
+    hand = chain("arm", 6, "base", first="0 0.3 0.9") + fingers("hand", "arm5")
+    neck = chain("neck", 5, "base", "0 0 0.1", "0 0 1")
+    assert kinds(structure_of(tmp_path, BASE, hand, neck)) == {"arm5": "arm", "neck4": HEAD}
+    other = chain("arm", 6, "base", "0 0 0.3", "0 0.3 0.9")
+    assert kinds(structure_of(tmp_path, BASE, other, neck)) == {"arm5": "arm", "neck4": CLOSE}
+
+
+@pytest.mark.parametrize(
+    ("shapes", "axis", "wide", "jaw"),
+    [
+        (box("0.02 0.02 0.1", "0.01 0 0.06"), "0 1 0", True, True),
+        (box("0.02 0.02 0.1", "0.01 0 0.06", "visual"), "0 1 0", True, True),
+        (box("0.02 0.02 0.1", "0.01 0 0.06"), "0 1 0", False, False),  # nothing to close against
+        (box("0.02 0.02 0.1", "0 0 0.06"), "0 0 1", True, False),  # it turns about itself
+        (box("0.05 0.05 0.05"), "0 1 0", True, False),  # it lies around its axis
+        (box("0.02 0.02 0.4", "0.01 0 0.21"), "0 1 0", True, False),  # as long as a forearm
+        ("", "0 1 0", True, True),  # it moves nothing
+    ],
+)
+def test_a_jaw_closes_against_its_hand(tmp_path, shapes, axis, wide, jaw):
+    hand = box() + (box("0.02 0.02 0.3", "-0.03 0 0.15") if wide else "")
+    parts = BASE, chain("arm", 5, "base", first="0 0 1"), link("hand", hand), link("jaw", shapes)
+    ends = joint("hand", "arm4"), joint("jaw", "hand", "0 0 0.05", axis)
+    found = arms(structure_of(tmp_path, *parts, *ends))
+    assert found == ({"hand": 6} if jaw else {"jaw": 7})
+
+
+def test_a_camera_at_an_arm_and_joints_that_follow_change_nothing(tmp_path):
+    arm = chain("arm", 6, "base", first="0 0 1")
+    camera = chain("camera", 2, "arm3", "0 0 0.2", "0.1 0 0"), fingers("hand", "arm5")
+    assert kinds(structure_of(tmp_path, BASE, arm, *camera)) == {"arm5": "arm", "camera1": HEAD}
+    camera = chain("camera", 2, "arm3", "0 0 0.02", "0 0 0", box("0.01 0.01 0.4"))
+    assert kinds(structure_of(tmp_path, BASE, arm, camera)) == {"arm5": "arm", "camera1": BRANCH}
+    follows = link("f") + joint("f", "arm5", more=f'<mimic joint="arm5_joint"/>{LIMIT}')
+    assert arms(structure_of(tmp_path, BASE, arm, follows)) == {"arm5": 6}
+
+
+def test_fingers_of_many_joints_are_no_arms(tmp_path):
+    small = "0 0 0.015"
+    hand = "".join(
+        chain(f"f{i}_", 7, "arm5", small, f"0 {y} 0") for i, y in enumerate((0.02, -0.02))
+    )
+    structure = structure_of(tmp_path, BASE, chain("arm", 6, "base", first="0 0 1"), hand)
+    assert arms(structure) == {"arm5": 6}
+
+
+def test_slides_of_a_virtual_base_belong_to_no_arm(tmp_path):
+    drive = (
+        link("odom", ""), link("x", ""), link("y", ""),
+        joint("x", "odom", "0 0 0", "1 0 0", "prismatic"),
+        joint("y", "x", "0 0 0", "0 1 0", "prismatic"), joint("base", "y", "0 0 0"),
+    )  # fmt: skip
+    arm = chain("arm", 6, "base", first="0.1 0 1")
+    urdf = structure_of(tmp_path, *drive, BASE, arm).urdf
+    found = propose(urdf, Wishes())
+    assert [arm.base_link for arm in found.words.arms] == ["base"]
+    assert found.words.base_frame == "base"
+    assert any("x_joint, y_joint, base_joint are taken for how the base" in n for n in found.notes)
+
+
+def test_what_is_no_arm_is_told(tmp_path):
+    with pytest.raises(RobotError, match=r"6 joints from 'leg0_0_joint' to 'leg0_5_joint' \(a leg"):
+        propose(structure_of(tmp_path, PELVIS, LEGS).urdf, Wishes())
+    arm = chain("arm", 6, "base", first="0.2 0 0.3")
+    notes = propose(structure_of(tmp_path, PELVIS, LEGS, arm).urdf, Wishes()).notes
+    assert any(note.startswith("no arms: 6 joints from 'leg0_0_joint'") for note in notes)
+
+
+def test_sides_are_those_of_the_links_names(tmp_path):
+    for one, other in (("LArm", "RArm"), ("left_arm", "right_arm"), ("arm_l_", "arm_r_")):
+        two = chain(one, 6, "base", DOWN, "0 -0.3 0.8"), chain(other, 6, "base", DOWN, "0 0.3 0.8")
+        words = propose(structure_of(tmp_path, BASE, *two).urdf, Wishes()).words
+        assert [(arm.name, arm.tool_frame[:5]) for arm in words.arms] == [
+            ("left", "left_"),
+            ("right", "right"),
+        ]
+
+
+def written(tmp_path, *parts):
+    return structure_of(tmp_path, *parts).urdf.path
+
+
+def test_an_arm_without_shapes_is_told_and_visual_shapes_are_taken(tmp_path):
+    bare = link("base", "") + chain("arm", 6, "base", shapes="")
+    with pytest.raises(
+        RobotError, match=r"nothing of arm 'arm', from joint 'arm0_joint' on, has a"
+    ):
+        make_robot_folder(written(tmp_path, bare), tmp_path / "bare")
+    seen = box("0.05 0.05 0.1", kind="visual")
+    parts = link("base", box("0.2 0.2 0.5", "0 0 0.25", "visual"))
+    parts += chain("arm", 6, "base", "0 0 0.15", "0 0 0.5", seen)
+    made = make_robot_folder(written(tmp_path, parts), tmp_path / "seen")
+    assert any("its visual shapes are taken" in note for note in made.notes)
+    assert made.robot.description.footprint == (-0.1, 0.1, -0.1, 0.1)
+    first = BASE + chain("arm", 3, "base", first="0 0 1") + chain("far", 3, "arm2", shapes="")
+    assert make_robot_folder(written(tmp_path, first), tmp_path / "first").robot.arms
+
+
+def test_why_nothing_is_reached_is_told_with_a_table_that_suits(tmp_path):
+    short = link("base", box("0.1 0.1 0.1", "0 0 0.05"))
+    arm = "".join(
+        link(f"a{i}", box("0.03 0.03 0.03"))
+        + joint(f"a{i}", f"a{i - 1}" if i else "base", f"{0.09 if i else 0} 0 {0 if i else 0.25}",
+                axis, more=LIMIT.replace("1", "3", 2))
+        for i, axis in enumerate(("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "1 0 0"))
+    )  # fmt: skip
+    made = make_robot_folder(written(tmp_path, short, arm), tmp_path / "made").reached
+    assert not made.grasps.any()
+    assert "m long from its shoulder, 0.25 m high, and the nearest object" in made.why
+    assert "; " in made.why
