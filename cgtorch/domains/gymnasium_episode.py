@@ -61,7 +61,7 @@ class Episode:
             said = kind((gained, *ends))
             raise WorldError(
                 f"{self.where} gave reward, terminated and truncated as {said}; Gymnasium expects "
-                "a number, and true or false twice"
+                "a number, and true or false twice; a wrapper can make that (wrappers, --wrappers)"
             ) from None
         if not math.isfinite(reward):
             raise WorldError(f"{self.where} gave reward {reward}; give finite rewards")
@@ -113,6 +113,6 @@ class Episode:
             at = int(finite.argmin())
             raise WorldError(
                 f"{self.where} showed {self.percepts.fields[at].name} as {numbers[at]}; show "
-                "finite numbers, or leave this one out (percepts, --percepts)"
+                "finite numbers, leave this one out (percepts, --percepts), or wrap it (--wrappers)"
             )
         return numbers

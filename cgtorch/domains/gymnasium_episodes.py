@@ -59,7 +59,8 @@ class Episodes:
     @property
     def modes(self) -> Any:
         """The ways in which the environment can be drawn."""
-        return next(iter(self._having.values())).metadata.get("render_modes") or ()
+        told = next(iter(self._having.values())).metadata or {}
+        return told.get("render_modes") or ()
 
     def film(self, width: int) -> Filmed:
         """Have the first environment filmed, of which no other is then needed."""
@@ -149,7 +150,8 @@ class Episodes:
         made: Any = foreign(
             lambda: gymnasium.make(name, disable_env_checker=True, **keywords),
             f"Gymnasium cannot make environment {name!r}",
-            "is it spelt right, is its package installed, and does it have these keywords (--env)?",
+            "is it spelt right, is its package installed and its module given (module:ENV_ID), and "
+            "does it have these keywords (--env)?",
         )
         threshold = getattr(made.spec, "reward_threshold", None)
         limit = getattr(made.spec, "max_episode_steps", None) or float("inf")

@@ -81,7 +81,7 @@ def later(change: Any) -> Change:
     [
         (
             {"seen": later(np.array([0, np.nan]))},
-            r"in step 3 after reset\(seed=0\) showed observation 2 as nan; .* \(percepts, -",
+            r"in step 3 after reset\(seed=0\) showed observation 2 as nan; .* \(percepts.* wrap it",
         ),
         (
             {"seen": lambda line: np.array([-np.inf, 0])},
@@ -96,7 +96,7 @@ def later(change: Any) -> Change:
         ({"reward": lambda line: np.inf}, "gave reward inf; give finite"),
         (
             {"reward": lambda line: np.ones(2)},
-            r"gave reward.* as \(a ndarray, a bool, a bool\); Gymnasium expects a number",
+            r"gave reward.* as \(a ndarray, a bool, a bool\); Gymnasium expects a number.*--wrap",
         ),
         ({"over": lambda line: np.zeros(2)}, r"as \(a float, a ndarray, a bool\).* true or false"),
         ({"over": lambda line: "no"}, r"as \(a float, a str, a bool\)"),
@@ -210,6 +210,14 @@ def test_success_that_is_no_number_is_told_where(
 def test_numbers_that_are_not_asked_for_may_be_anything(monkeypatch: pytest.MonkeyPatch) -> None:
     changes: dict[str, Change] = {"seen": lambda line: np.array([line.place, np.nan])}
     assert len(domain_of(monkeypatch, changes, percepts=("observation 1",)).percept) == 1
+
+
+def test_an_environment_may_tell_nothing_of_how_it_is_drawn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    domain = domain_of(monkeypatch, {})
+    monkeypatch.setattr(Line, "metadata", None)  # as robosuite's GymWrapper has it
+    assert tuple(domain.episodes.modes) == ()
 
 
 def test_arrays_are_copied_on_their_way_in_and_out(monkeypatch: pytest.MonkeyPatch) -> None:
