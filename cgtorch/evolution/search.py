@@ -31,8 +31,7 @@ from cgtorch.native.gpu import launcher_of
 from cgtorch.simulation import MAX_TRANSITIONS
 
 MIGRANTS = 10  # one individual in so many
-FEW_NEW = 3  # one newcomer in so many remains as soon as a scenario is solved
-RARELY = 0.05  # the largest rate of each change of structure from then on
+RARELY = 0.05  # the largest rate of each change of structure as soon as a scenario is solved
 
 Environments: TypeAlias = Callable[[int], Environment]
 """Makes the environment of each generation, counted from 0. All have equally many scenarios."""
@@ -140,12 +139,10 @@ def evolve(
         if count > 1 and (generation.number + 1) % settings.migration == 0:
             arrivals = _shared(ranks.ring_shift, map(emigrants, evaluated), settings)
             evaluated = [migrated(*pair) for pair in zip(evaluated, arrivals, strict=True)]
-        how = settings
         if settings.newcomers and generation.succeeded.any():
-            how = replace(settings, newcomers=settings.newcomers // FEW_NEW)
             evaluated = [_settled(each) for each in evaluated]
         pairs = zip(islands, evaluated, strict=True)
-        islands = [next_state(*pair, how, actions) for pair in pairs]
+        islands = [next_state(*pair, settings, actions) for pair in pairs]
         if callable(environment):
             evaluation = about(environment=environment(generation.number + 1))
 

@@ -55,8 +55,8 @@ class EvolutionSettings:
         elite: Number of best individuals that are copied unchanged.
         newcomers: Number of individuals of each later population that are random graphs in place of
             children, so that the search leaves local optima (Grefenstette, "Genetic algorithms for
-            changing environments", PPSN 1992). As soon as the best one solves a scenario, they are
-            a third.
+            changing environments", PPSN 1992). With newcomers, children differ in parameters rather
+            than in structure as soon as the best individual solves a scenario.
         capacity: The largest number of nodes of a graph.
         initial_nodes: The fewest and most nodes of a first graph, before pruning.
         first_graphs: Draws random graphs, `random_graphs` or `varied_graphs`. With seeds, the
