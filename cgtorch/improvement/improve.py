@@ -81,6 +81,8 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         solved = int(state.keep[: len(first.keep)].sum()) if state.repeats else 0
         idle = 0 if solved > best[0] or state.in_a_row > best[1] else idle + 1
         best = max(best[0], solved), max(best[1], state.in_a_row)
+        if state.repeats != first.repeats:  # means are compared from now on
+            break
         if setup.purse.exhausted or (state.repeats and (done or idle == IDLE)):
             break
     if accepted and state.judged is not state.current:

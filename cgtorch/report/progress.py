@@ -160,6 +160,10 @@ class ProgressDisplay:
                 if message:
                     self._world = message
                     self._plain(message)
+            case events.MeanTested():
+                self._world = message
+                if time.monotonic() - self._told >= OFTEN:
+                    self._plain(message)
             case events.ChanceFound() | events.StageFailed():
                 self.say(message, style="yellow")
             case events.WorldTested():

@@ -21,6 +21,7 @@ from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
     GenerationDone,
+    MeanTested,
     Practised,
     SkillAccepted,
     StageFailed,
@@ -28,6 +29,7 @@ from cgtorch.improvement.events import (
     StageStarted,
     TrainingEnded,
 )
+from cgtorch.improvement.expected import improve_expected
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress
@@ -35,7 +37,7 @@ from cgtorch.runs.journal import FOLDER, forget, journal_of
 from cgtorch.runs.log import history_of
 from cgtorch.runs.storage import load_progress, save_progress
 from cgtorch.runs.stored_run import AUTO, StoredRun
-from cgtorch.training.context import Training
+from cgtorch.training.context import Training, for_means
 from cgtorch.training.evaluate import Score, evaluate_skill
 from cgtorch.training.start import initial_progress, recall_spent, spent_of
 
@@ -63,6 +65,7 @@ class Tally:
     champion: Population | None = None
     best: float = -inf  # its fitness
     in_a_row: int = 0  # fresh scenarios that the last skill solved
+    episodes: int = 0  # that a search for the best mean has played
 
     def count(self, event: Event) -> None:
         """Update by an event."""
@@ -74,6 +77,8 @@ class Tally:
             self.accepted = event
         elif isinstance(event, Practised):
             self.in_a_row = event.in_a_row
+        elif isinstance(event, MeanTested):
+            self.episodes = event.episodes
 
     def _add(self, generations: int, found: Generation | Found, seconds: float) -> None:
         self.generations += generations
@@ -217,10 +222,11 @@ def make_stage(
     tests: Any,
     test: Callable[[Progress[Any], Tally], Made | None],
     failures: int = 0,
+    target: float = inf,
 ) -> Made:
     """Make one stage or round and store it in the run; NotImprovedError if there is no skill.
 
-    `test` tries the skill on fresh scenarios. It maps the progress and its cost to the final
+    Where skills are judged by means, it ends once these reach the target. `test` tries the skill on fresh scenarios. It maps the progress and its cost to the final
     progress and the result, or to None if there is no skill.
     """
     run, tally = training.run, Tally()
@@ -237,8 +243,11 @@ def make_stage(
     with journal_of(run.folder, again, training.told, training.checkpoint_seconds) as journal:
         setup = training.setup(name, journal)
         setup = replace(setup, name=name, generator=generator, watch=listen)
-        began, method = time.perf_counter(), METHODS[run.settings.method]
-        after = method(setup, before, tests, draw)
+        began, after = time.perf_counter(), before
+        if not training.by_mean(before):
+            after = METHODS[run.settings.method](setup, before, tests, draw)
+        if training.by_mean(after) and not training.purse.exhausted:
+            after = improve_expected(for_means(run, setup, target), after, tests, draw)
         tally.seconds = time.perf_counter() - began
         made = test(after, tally)
         if made is not None:
@@ -272,7 +281,9 @@ def finished_generations(run: StoredRun) -> int:
 def counts(kind: str, score: Score) -> dict[str, Any]:
     """A score as in the result of a stage."""
     about = {"scenarios": kind, "tried": score.tried, "succeeded": score.successes}
-    return about if score.returns is None else {**about, "mean_return": score.mean_return}
+    if score.returns is None:
+        return about
+    return {**about, "mean_return": score.mean_return, "error": score.error}
 
 
 _SEED_STRIDE = 1_000_003
