@@ -62,10 +62,9 @@ class Purse:
     exhausted: bool = False
     until: float = inf
 
-    @property
-    def late(self) -> bool:
-        """Whether the time is over, by the clock of the first rank."""
-        return self.until < inf and ranks.broadcast(time.monotonic() >= self.until)
+    def late(self, grace: float = 0.0) -> bool:
+        """Whether the time has been over for so many seconds, by the clock of the first rank."""
+        return self.until < inf and ranks.broadcast(time.monotonic() >= self.until + grace)
 
     @property
     def total(self) -> Asked:
@@ -74,7 +73,7 @@ class Purse:
 
     def pay(self, phase: str, asked: Asked) -> None:
         """Count what is asked next; BudgetSpentError, and nothing is counted, beyond a limit."""
-        if self.late:
+        if self.late():
             self.exhausted = True
             raise BudgetSpentError("the time is over; give more (minutes, --minutes)")
         after = self.total + asked

@@ -14,74 +14,39 @@ once is a fact that later skills have to keep. So there is no W, and
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
 from typing import Any
 
 import torch
 from torch import Generator
 
-from cgtorch.evolution import Generation, Population, evolve
+from cgtorch.evolution import EvolutionState, Generation, Population, evolve
 from cgtorch.evolution.lineages import tunable
-from cgtorch.evolution.population import initial_strategy, slim
+from cgtorch.evolution.population import initial_strategy
 from cgtorch.evolution.search import derived_generator
 from cgtorch.graphs import Graphs, Skill, compacted, merged
+from cgtorch.ground.environment import Environment
 from cgtorch.improvement import tuning as tune
-from cgtorch.improvement.events import GenerationDone, MeanTested, S, solved_of
+from cgtorch.improvement.checkpoint import Found, checkpoint_of, found_from, islands_from
+from cgtorch.improvement.events import (
+    EvolutionRecalled,
+    GenerationDone,
+    MeanTested,
+    S,
+    solved_of,
+)
+from cgtorch.improvement.expected_state import State, state_from_tensors, tensors_of_state
 from cgtorch.improvement.race import Fresh, Holder, best_of, race
 from cgtorch.improvement.setup import Draw, Progress, Setup
-from cgtorch.improvement.spread import Need
 from cgtorch.improvement.tuning import Tuning
 
 OFTEN = 5  # generations between two nominations
 CYCLES = 2  # generations of new structures after which tuning begins
-RACING = 4  # the search plays so many times as many episodes as races
-EARLIER = 7  # beaten holders that are tried again at the end
-AT_LAST = 8  # the search plays so many times as many episodes as that
+AT_LAST = 8  # the search plays so many times as many episodes as the last choice
+GRACE = 3.0  # s that the last choice may take after the end of the time
 KNOWN = 16  # values of the holder from which its mean is compared with the target
 TRIED, CERTAIN = 100, 2.0  # values with which it has to hold, by so many standard errors
-
-
-@dataclass(frozen=True)
-class State:
-    """The state of a search between two generations.
-
-    Attributes:
-        holder: The best skill so far; None before any finished an episode.
-        earlier: Beaten holders, the last ones.
-        tuning: The tuning of the holder's parameters; None before it begins.
-        need: The number of scenarios of the next generation.
-        generations: Generations so far.
-        bred: How many of them had new structures.
-        searched: Actions that were executed in generations.
-        tuned: Actions that were executed in tuning, less those in generations before it began.
-        episodes: Episodes of generations and of tuning.
-        raced: Episodes of races.
-        transitions: Transitions of generations.
-    """
-
-    holder: Holder | None = None
-    earlier: tuple[Skill, ...] = ()
-    tuning: Tuning | None = None
-    need: Need = Need()
-    generations: int = 0
-    bred: int = 0
-    searched: int = 0
-    tuned: int = 0
-    episodes: int = 0
-    raced: int = 0
-    transitions: int = 0
-
-    def held_by(self, holder: Holder) -> "State":
-        """The state with the winner of a race as the holder."""
-        if self.holder is None or holder.skill is self.holder.skill:
-            return replace(self, holder=holder)
-        earlier = (*self.earlier, self.holder.skill)[-EARLIER:]
-        return replace(self, holder=holder, earlier=earlier)
-
-    @property
-    def longest(self) -> int:
-        """The number of pairs that the next race may have."""
-        return (self.episodes // RACING - self.raced) // 2
 
 
 @dataclass(frozen=True)
@@ -98,21 +63,21 @@ class Search:
 
     def after(self, state: State, generation: Generation, generator: Generator) -> State:
         """The state after a generation was evaluated, its nominees raced, and the holder tuned."""
-        lineages = generation.islands[0].lineages
-        state = replace(
-            state,
-            need=state.need.after(generation.scores),
-            generations=state.generations + 1,
-            bred=state.bred + (not lineages),
-            searched=state.searched + generation.executed,
-            episodes=state.episodes + generation.scores.numel(),
-            transitions=state.transitions + generation.transitions,
+        spent, lineages = state.spent, generation.islands[0].lineages
+        spent = replace(
+            spent,
+            generations=spent.generations + 1,
+            bred=spent.bred + (not lineages),
+            transitions=spent.transitions + generation.transitions,
+            searched=spent.searched + generation.executed,
+            episodes=spent.episodes + generation.scores.numel(),
         )
-        if state.bred < CYCLES:
-            state = replace(state, tuned=state.searched)
+        if spent.bred < CYCLES:
+            spent = replace(spent, tuned=spent.searched)
+        state = replace(state, need=state.need.after(generation.scores), spent=spent)
         for graphs in self._nominees(state, generation):
             state, _ = self._raced(state, self.skill_of(graphs), generator)
-        while state.holder is not None and state.tuned < state.searched:
+        while state.holder is not None and state.spent.tuned < state.spent.searched:
             after = self._tuned(state, generator)
             if after is state:
                 break
@@ -134,9 +99,7 @@ class Search:
             tune.with_parameters(graph, tunable(graph, self.setup.actions), mean),
         ]
 
-    def _raced(
-        self, state: State, challenger: Skill, generator: Generator
-    ) -> tuple[State, bool]:
+    def _raced(self, state: State, challenger: Skill, generator: Generator) -> tuple[State, bool]:
         """The state after a race, and whether the challenger has won it."""
         if state.holder is None:
             values = self.fresh.of_skills([challenger], KNOWN, generator)
@@ -144,26 +107,26 @@ class Search:
             return (state.held_by(Holder(challenger)) if finite else state), finite
         before = self.fresh.episodes
         winner = race(self.fresh, state.holder, challenger, state.longest, generator)
-        raced = state.raced + self.fresh.episodes - before
-        return replace(state, raced=raced).held_by(winner), winner.skill is challenger
+        raced = state.spent.raced + self.fresh.episodes - before
+        state = replace(state, spent=replace(state.spent, raced=raced))
+        return state.held_by(winner), winner.skill is challenger
 
     def _tuned(self, state: State, generator: Generator) -> State:
         """The state after an update of the holder's parameters; the same if it has none."""
         holder, tuning, actions = state.holder, state.tuning, self.setup.actions
         assert holder is not None  # noqa: S101
         if tuning is None or holder.skill.graph is not tuning.graph:
-            usual = holder.skill.actions is actions
-            tuning = tune.begun(holder.skill.graph, actions, state.need.scenarios) if usual else None
+            tuning = self._tuning_of(holder.skill, state.need.scenarios)
         if tuning is None:
             return state
         before = self.fresh.executed, self.fresh.episodes
         tuning = tune.update(tuning, actions, self.fresh, generator)
-        state = replace(
-            state,
-            tuning=tuning,
-            tuned=state.tuned + self.fresh.executed - before[0],
-            episodes=state.episodes + self.fresh.episodes - before[1],
+        spent = replace(
+            state.spent,
+            tuned=state.spent.tuned + self.fresh.executed - before[0],
+            episodes=state.spent.episodes + self.fresh.episodes - before[1],
         )
+        state = replace(state, tuning=tuning, spent=spent)
         if not tuning.due:
             return state
         mean = replace(holder.skill, name=self.setup.name, graph=tuning.mean(actions))
@@ -172,6 +135,11 @@ class Search:
         if won and state.holder is not None:
             tuning = replace(tuning, graph=state.holder.skill.graph)
         return replace(state, tuning=tuning.more() if tuning.stalled else tuning)
+
+    def _tuning_of(self, skill: Skill, scenarios: int) -> Tuning | None:
+        """The tuning of a skill; None if it has other actions, as a team has, or no parameters."""
+        actions = self.setup.actions
+        return tune.begun(skill.graph, actions, scenarios) if skill.actions is actions else None
 
     def certain(self, state: State, generator: Generator) -> tuple[State, bool]:
         """The state with a mean that is known better, and whether it is at least the target."""
@@ -201,43 +169,81 @@ def improve_expected(
     seed = int(torch.randint(2**62, (1,), generator=setup.generator))
     own = Generator().manual_seed(seed)
 
-    def world(count: int, generator: Generator) -> Any:
+    def world(count: int, generator: Generator) -> Environment:
         return setup.world_of(draw(count, generator))
 
     search = Search(setup, Fresh(world, setup.max_transitions))
-    state = State(holder=None if progress.skill is None else Holder(progress.skill))
+    state, islands = _recalled(setup, progress)
     limit, began = setup.attempts * setup.budget.generations, time.perf_counter()
-    nothing = torch.zeros(0, dtype=torch.bool)
+
+    def environment(number: int) -> Environment:
+        return world(state.need.scenarios, derived_generator(own, 2 * number + 1))
+
     for generation in evolve(
-        lambda number: world(state.need.scenarios, derived_generator(own, 2 * number + 1)),
+        environment,
         setup.actions,
         setup.evolution,
         setup.generator,
         seeds=progress.specialists,
+        islands=islands,
         max_transitions=setup.max_transitions,
     ):
-        generator = derived_generator(own, 2 * generation.number + 2)
-        before = state.holder
+        _record(setup, progress, state, generation)
+        before, generator = state.holder, derived_generator(own, 2 * generation.number + 2)
         state = search.after(state, generation, generator)
         state, certain = search.certain(state, generator)
         now = time.perf_counter()
         counts = solved_of(generation.succeeded, torch.zeros_like(generation.succeeded))
-        setup.watch(
-            GenerationDone(setup.name, setup.name, *counts, generation, limit, now - began)
-        )
+        done = generation, limit, now - began
         began = now
+        setup.watch(GenerationDone(setup.name, setup.name, *counts, *done))
         _tell(setup, state, before)
-        if certain or state.generations >= limit or setup.purse.late:
+        if certain or state.spent.generations >= limit or setup.purse.late():
             break
     if state.holder is None:
         return progress
-    skill, generator = state.holder.skill, derived_generator(own, 0)
+    skill, generator = state.holder.skill, derived_generator(own, 2 * limit + 3)
     if not certain and state.earlier:
         every = [skill, *state.earlier]
-        skill = best_of(search.fresh, every, state.episodes // AT_LAST, generator)
+        episodes, stop = state.spent.episodes // AT_LAST, partial(setup.purse.late, GRACE)
+        skill = best_of(search.fresh, every, episodes, generator, stop)
     usual = skill.actions is setup.actions
     seeds = Population(skill.graph, initial_strategy(1)) if usual else progress.specialists
     return replace(progress, skill=skill, specialists=seeds)
+
+
+def _step(setup: Setup[Any]) -> str:
+    """The name of the search in the journal."""
+    return f"means of {setup.name}"
+
+
+def _recalled(
+    setup: Setup[Any], progress: Progress[Any]
+) -> tuple[State, list[EvolutionState] | None]:
+    """The first state, or that of a checkpoint with its islands."""
+    given = progress.skill
+    checkpoint = setup.journal.recall_checkpoint(_step(setup))
+    if checkpoint is None:
+        return State(holder=None if given is None else Holder(given)), None
+    about, count = checkpoint.about, setup.evolution.islands
+    found = found_from(about, setup.actions, 0)
+    setup.watch(EvolutionRecalled(setup.name, setup.name, found))
+    like = Skill(setup.name, found.champion.graphs, setup.actions, setup.max_transitions)
+    state = state_from_tensors(about, setup.actions, like, given)
+    return state, islands_from(checkpoint, setup.actions, setup.generator, count)
+
+
+def _record(
+    setup: Setup[Any], progress: Progress[Any], state: State, generation: Generation
+) -> None:
+    """Record a checkpoint from which the generation is evaluated again."""
+    champion, spent, nothing = generation.champion, state.spent, torch.zeros(0, dtype=torch.bool)
+    counts = 0, spent.generations, spent.transitions
+    checkpoint = checkpoint_of(
+        Found(champion, nothing, -inf, *counts), generation.islands, setup.evolution.islands
+    )
+    about = {**checkpoint.about, **tensors_of_state(state, progress.skill)}
+    setup.journal.record_checkpoint(_step(setup), replace(checkpoint, about=about))
 
 
 def _tell(setup: Setup[Any], state: State, before: Holder | None) -> None:
@@ -247,5 +253,5 @@ def _tell(setup: Setup[Any], state: State, before: Holder | None) -> None:
         return
     new = before is None or before.skill is not holder.skill
     mean, error = (x if abs(x) < inf else None for x in (holder.mean, holder.error))
-    about = mean, error, holder.count, state.need.scenarios, state.episodes
+    about = mean, error, holder.count, state.need.scenarios, state.spent.episodes
     setup.watch(MeanTested(setup.name, holder.skill, new, *about))

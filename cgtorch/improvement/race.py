@@ -20,6 +20,7 @@ FIRST, FEWEST = 8, 64  # pairs of the first look, and of the first that can deci
 SURE, AT_LAST = 3.0, 1.64  # standard errors by which it has to be better, and after the last pair
 HOPELESS = 1.0  # standard errors below the holder at which it gives up
 MOST_AT_ONCE = 2**13  # scenarios of one rollout
+PART = 256  # scenarios of the last choice between two looks at the clock
 
 
 @dataclass(frozen=True)
@@ -123,9 +124,13 @@ def _error(values: Tensor) -> float:
 
 
 def best_of(
-    fresh: Fresh, skills: Sequence[Skill], episodes: int, generator: Generator
+    fresh: Fresh,
+    skills: Sequence[Skill],
+    episodes: int,
+    generator: Generator,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Skill:
-    """The best of some skills by sequential halving in about so many episodes.
+    """The best of some skills by sequential halving in about so many episodes, or up to a stop.
 
     The better half of them meets twice as many scenarios, and so on (Karnin, Koren and Somekh,
     "Almost optimal exploration in multi-armed bandits", ICML 2013).
@@ -134,7 +139,11 @@ def best_of(
     totals = torch.zeros(len(left), dtype=torch.float64)
     while len(left) > 1:
         count = max(FIRST, episodes // rungs // len(left))
-        totals = totals + fresh.of_skills(left, count, generator).double().sum(1)
+        for begin in range(0, count, PART):
+            if stop():
+                break
+            more = min(PART, count - begin)
+            totals = totals + fresh.of_skills(left, more, generator).double().sum(1)
         stay = totals.argsort(descending=True, stable=True)[: -(-len(left) // 2)].sort().values
         left, totals = [left[i] for i in stay.tolist()], totals[stay]
     return left[0]

@@ -50,13 +50,13 @@ def message_of(event: events.Event) -> str:
             share = event.succeeded / event.tried
             return (
                 f"{event.stage}: under other noise the same skill solves {share:.0%} of the "
-                f"{event.tried} scenarios that it solved: this world is chance; skills are evolved in "
-                "it on fresh scenarios from now on, and compared by means (--chance no overrules it)"
+                f"{event.tried} scenarios that it solved: this world is chance; from now on skills "
+                "are evolved in it on fresh scenarios, and means count (--chance no overrules it)"
             )
         case events.MeanTested():
             return (
-                f"{event.stage}: mean {mean_text(event.mean, event.error)} on {event.tried:,} fresh "
-                f"episodes; {event.scenarios} in each generation, {event.episodes:,} played"
+                f"{event.stage}: mean {mean_text(event.mean, event.error)} on {event.tried:,} "
+                f"fresh episodes; {event.scenarios} in each generation, {event.episodes:,} played"
             )
         case events.Practised():
             return (

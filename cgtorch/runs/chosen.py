@@ -13,7 +13,7 @@ from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import ActionError, GraphError, RunError, SettingsError
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import ASIDE, DATA, load_dataset
-from cgtorch.runs.stored_run import StoredRun, read_about, read_run
+from cgtorch.runs.stored_run import SKILL, StoredRun, read_about, read_run
 
 EXPORTED = (".pt2", ".onnx", ".py")
 """The ends of names of exports that programs run."""
@@ -62,10 +62,10 @@ def chosen_skill(
             known = ", ".join(run.stages) or "another run; this one has no skill yet"
             raise RunError(f"no skill {name!r:.40} in run {str(path)!r}; give one of {known}")
         stage = path / name
-        skill = load_skill(stage / "skill.json", run.actions)
+        skill = load_skill(stage / SKILL, run.actions)
     else:
         run, skill = last_skill(path, actions, domain)
-        stage = path if (path / "skill.json").is_file() else path / run.stages[-1]
+        stage = path if (path / SKILL).is_file() else run.last
     return Chosen(skill, run.domain, kind or run.kind, run, stage)
 
 
@@ -86,15 +86,15 @@ def last_skill(
     """
     if (path / "run.json").is_file():
         run = read_run(path, trusted, domain)
-        if not run.stages:
+        if (last := run.last) is None:
             raise RunError(
-                f"run {str(path)!r} has no finished stage or round; finish "
-                f"one with cgtorch-train --resume {path}"
+                f"run {str(path)!r} has no finished stage or round, and no skill of an interrupted "
+                f"one; finish one with cgtorch-train --resume {path}"
             )
-        return run, load_skill(path / run.stages[-1] / "skill.json", run.actions)
-    if (path / "skill.json").is_file():
+        return run, load_skill(last / SKILL, run.actions)
+    if (path / SKILL).is_file():
         run = read_run(path.absolute().parent, trusted, domain)  # also of "."
-        return run, load_skill(path / "skill.json", run.actions)
+        return run, load_skill(path / SKILL, run.actions)
     raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
 
 

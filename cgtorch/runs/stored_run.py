@@ -49,6 +49,7 @@ from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
 
 FORMAT, VERSION = "cgtorch-run", 6
+SKILL = "skill.json"
 AUTO = "auto"
 """The stage name that asks for rounds, auto-1, auto-2, …, until a goal is reached."""
 
@@ -91,6 +92,18 @@ class StoredRun:
         return tuple(itertools.takewhile(self._finished, map(round_name, itertools.count(1))))
 
     @property
+    def last(self) -> Path | None:
+        """The folder of the last skill: of the last finished stage or round, or until there is one,
+        of the best skill of an interrupted one; None if there is no skill.
+        """
+        if stages := self.stages:
+            return self.folder / stages[-1]
+        begun = sorted(
+            (self.folder / "journal").glob(f"*/{SKILL}"), key=lambda p: p.stat().st_mtime
+        )
+        return begun[-1].parent if begun else None
+
+    @property
     def results(self) -> list[Row]:
         """The result of each finished stage or round, in order; RunError if the log lacks one."""
         stages = self.stages
@@ -128,7 +141,7 @@ class StoredRun:
         return {**to_plain(self.settings), **to_plain(self.domain.settings)}
 
     def _finished(self, stage: str) -> bool:
-        return (self.folder / stage / "skill.json").is_file()
+        return (self.folder / stage / SKILL).is_file()
 
 
 def round_name(number: int) -> str:

@@ -18,6 +18,7 @@ from torch import Generator
 from cgtorch.domains.domain import Domain
 from cgtorch.evolution.search import derived_generator
 from cgtorch.graphs import Skill
+from cgtorch.ground.asked import Purse
 from cgtorch.ground.statistics import wilson
 from cgtorch.improvement.events import FreshTested, StageStarted, TrainingEnded
 from cgtorch.improvement.setup import Progress
@@ -67,7 +68,7 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
     progress = load_progress(run, last) if last else initial_progress(training)
     results = run.results
     first, made = len(results) - len(run.rounds), len(run.rounds)
-    while not reached(goal, results[first:]) and made < goal.rounds and not training.purse.late:
+    while not reached(goal, results[first:]) and made < goal.rounds and not training.purse.late():
         made += 1
         decisions = len(_decisions(results[first:]))
         try:
@@ -194,7 +195,7 @@ def _mean_tested(
     most = min(MOST_EPISODES, played // SHARE)
     for least in (EPISODES, DECISIVE_EPISODES):
         count = max(least, most)
-        score = act(run, skill, count, generator, count + 1)
+        score = act(run, skill, count, generator, count + 1, training.purse)
         about = score.successes, score.tried, goal.target, bool(scores)
         training.told(FreshTested(name, skill.name, *about, score.mean_return, score.error))
         scores.append(score)
@@ -206,17 +207,26 @@ def _mean_tested(
 
 
 def act(
-    run: StoredRun, skill: Skill | None, most: int, generator: Generator, enough: int = ENOUGH
+    run: StoredRun,
+    skill: Skill | None,
+    most: int,
+    generator: Generator,
+    enough: int = ENOUGH,
+    purse: Purse | None = None,
 ) -> Score:
     """Try a skill on up to `most` fresh scenarios, until `enough` are missed.
 
-    Without a skill, all are missed.
+    Without a skill, all are missed. Once the time of the purse is over, `EPISODES` have to do.
     """
     domain: Domain[Any] = run.domain
     parts = list[Score]()
     while (tried := sum(p.tried for p in parts)) < most and (
         sum(p.tried - p.successes for p in parts) < enough
     ):
+        if purse is not None and purse.late():
+            if tried >= EPISODES:
+                break
+            most = EPISODES
         fresh = domain.draw(run.kind, min(BATCH, most - tried), generator)
         if skill is None:
             seen = first_percepts(domain.world(fresh))

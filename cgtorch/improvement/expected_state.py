@@ -1,0 +1,134 @@
+"""The state of a search for the best mean (`cgtorch.improvement.expected`), and its tensors."""
+
+from dataclasses import astuple, dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from cgtorch.evolution import Population
+from cgtorch.evolution.ask_and_tell import VECTORS, damage, population_named, population_tensors
+from cgtorch.evolution.cma import Distribution
+from cgtorch.evolution.population import initial_strategy
+from cgtorch.graphs import ActionSet, Graphs, Skill
+from cgtorch.improvement.race import Holder
+from cgtorch.improvement.spread import Need
+from cgtorch.improvement.tuning import Tuning
+
+RACING = 4  # the search plays so many times as many episodes as races
+EARLIER = 7  # beaten holders that are tried again at the end
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a search has spent.
+
+    Attributes:
+        generations: Generations so far.
+        bred: How many of them had new structures.
+        transitions: Transitions of generations.
+        searched: Actions that were executed in generations.
+        tuned: Actions that were executed in tuning, and in generations before that began.
+        episodes: Episodes of generations and of tuning.
+        raced: Episodes of races.
+    """
+
+    generations: int = 0
+    bred: int = 0
+    transitions: int = 0
+    searched: int = 0
+    tuned: int = 0
+    episodes: int = 0
+    raced: int = 0
+
+
+@dataclass(frozen=True)
+class State:
+    """The state between two generations.
+
+    Attributes:
+        holder: The best skill so far; None before any finished an episode.
+        earlier: Beaten holders, the last ones.
+        tuning: The tuning of the holder's parameters; None before it begins.
+        need: The number of scenarios of the next generation.
+        spent: What was spent so far.
+    """
+
+    holder: Holder | None = None
+    earlier: tuple[Skill, ...] = ()
+    tuning: Tuning | None = None
+    need: Need = field(default_factory=Need)
+    spent: Spent = field(default_factory=Spent)
+
+    def held_by(self, holder: Holder) -> "State":
+        """The state with the winner of a race as the holder."""
+        if self.holder is None or holder.skill is self.holder.skill:
+            return replace(self, holder=holder)
+        earlier = (*self.earlier, self.holder.skill)[-EARLIER:]
+        return replace(self, holder=holder, earlier=earlier)
+
+    @property
+    def longest(self) -> int:
+        """The number of pairs that the next race may have."""
+        return (self.spent.episodes // RACING - self.spent.raced) // 2
+
+
+def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
+    """The tensors that `state_from_tensors` reads; the skill that was `given` is not among them."""
+    found = {
+        "need": torch.tensor([state.need.scenarios, state.need.reliability], dtype=torch.float64),
+        "spent": torch.tensor(astuple(state.spent)),
+    }
+    if state.holder is None:
+        return found
+    holder, tuning, skills = state.holder, state.tuning, (state.holder.skill, *state.earlier)
+    sums = [holder.total, holder.squares, float(holder.count)]
+    found["sums"] = torch.tensor(sums, dtype=torch.float64)
+    found["given"] = torch.tensor([skill is given for skill in skills])
+    for number, skill in enumerate(skills):
+        if skill is not given:
+            found |= population_tensors(f"skill {number}", _alone(skill.graph))
+    if tuning is not None and tuning.graph is holder.skill.graph:
+        about = tuning.distribution
+        found |= {f"tuning.{name}": getattr(about, name) for name in VECTORS}
+        found["tuning.step"] = torch.tensor(about.step, dtype=torch.float64)
+        counts = about.updates, tuning.scenarios, tuning.lost, int(tuning.reliable)
+        found["tuning.counts"] = torch.tensor(counts)
+    return found
+
+
+def state_from_tensors(
+    tensors: dict[str, Tensor], actions: ActionSet, like: Skill, given: Skill | None
+) -> State:
+    """The state of `tensors_of_state`; its skills are named and limited like one of the stage.
+
+    RunError if the tensors are damaged.
+    """
+    with damage():
+        scenarios, reliability = tensors["need"].tolist()
+        state = State(
+            need=Need(int(scenarios), reliability), spent=Spent(*tensors["spent"].tolist())
+        )
+        if "sums" not in tensors:
+            return state
+        skills = []
+        for number, old in enumerate(tensors["given"].tolist()):
+            if old:
+                assert given is not None  # noqa: S101
+                skills.append(given)
+            else:
+                graph = population_named(f"skill {number}", tensors, actions)[:1].graphs
+                skills.append(replace(like, graph=graph))
+        total, squares, count = tensors["sums"].tolist()
+        holder = Holder(skills[0], total, squares, int(count))
+        state = replace(state, holder=holder, earlier=tuple(skills[1:]))
+        if "tuning.step" not in tensors:
+            return state
+        updates, scenarios, lost, reliable = tensors["tuning.counts"].tolist()
+        vectors = {name: tensors[f"tuning.{name}"] for name in VECTORS}
+        about = Distribution(step=float(tensors["tuning.step"]), updates=updates, **vectors)
+        tuning = Tuning(holder.skill.graph, about, scenarios, lost, bool(reliable))
+        return replace(state, tuning=tuning)
+
+
+def _alone(graph: Graphs) -> Population:
+    return Population(graph, initial_strategy(1))
