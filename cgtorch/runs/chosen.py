@@ -65,7 +65,7 @@ def chosen_skill(
         skill = load_skill(stage / SKILL, run.actions)
     else:
         run, skill = last_skill(path, actions, domain)
-        stage = path if (path / SKILL).is_file() else run.last
+        stage = path if (path / SKILL).is_file() else folder_of_last(run) or path
     return Chosen(skill, run.domain, kind or run.kind, run, stage)
 
 
@@ -77,6 +77,17 @@ def stored_domain(path: Path) -> str | None:
     return None
 
 
+def folder_of_last(run: StoredRun) -> Path | None:
+    """The folder of the last finished stage or round; None if there is no skill yet.
+
+    Before the first one, it is that of an interrupted one with its best skill so far.
+    """
+    if stages := run.stages:
+        return run.folder / stages[-1]
+    begun = sorted((run.folder / "journal").glob(f"*/{SKILL}"))
+    return begun[-1].parent if begun else None
+
+
 def last_skill(
     path: Path, trusted: Sequence[str] = (), domain: str | None = None
 ) -> tuple[StoredRun, Skill]:
@@ -86,7 +97,7 @@ def last_skill(
     """
     if (path / "run.json").is_file():
         run = read_run(path, trusted, domain)
-        if (last := run.last) is None:
+        if (last := folder_of_last(run)) is None:
             raise RunError(
                 f"run {str(path)!r} has no finished stage or round, and no skill of an interrupted "
                 f"one; finish one with cgtorch-train --resume {path}"

@@ -92,18 +92,6 @@ class StoredRun:
         return tuple(itertools.takewhile(self._finished, map(round_name, itertools.count(1))))
 
     @property
-    def last(self) -> Path | None:
-        """The folder of the last skill: of the last finished stage or round, or until there is one,
-        of the best skill of an interrupted one; None if there is no skill.
-        """
-        if stages := self.stages:
-            return self.folder / stages[-1]
-        begun = sorted(
-            (self.folder / "journal").glob(f"*/{SKILL}"), key=lambda p: p.stat().st_mtime
-        )
-        return begun[-1].parent if begun else None
-
-    @property
     def results(self) -> list[Row]:
         """The result of each finished stage or round, in order; RunError if the log lacks one."""
         stages = self.stages

@@ -21,6 +21,7 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import write_bytes
 from cgtorch.report import ProgressDisplay
+from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.stored_run import SKILL, StoredRun, read_run
@@ -43,8 +44,8 @@ class Run(StoredRun):
 
     @property
     def skill(self) -> Skill:
-        """The last skill, as `StoredRun.last` has it; RunError if there is none yet."""
-        if (last := self.last) is None:
+        """The last skill, or the best of an interrupted stage; RunError if there is none yet."""
+        if (last := folder_of_last(self)) is None:
             raise RunError(f"run {str(self.folder)!r} has no skill yet; resume it")
         return load_skill(last / SKILL, self.actions)
 
