@@ -134,6 +134,7 @@ def begun(
         # On every rank, as they share what the world has to compute.
         run = planned_run(folder, settings, domain_settings, anew=not new, domain=domain)
         _stage(run, request, {})
+        _goal(run, request.goal)
         if settings.data:
             given_data(run)  # bad files are refused before anything is written
         ranks.wait()  # all have seen the folder before anyone writes
