@@ -7,12 +7,13 @@ once is a fact that later skills have to keep. So there is no W, and
    reliably they tell individuals apart (`cgtorch.improvement.spread`);
 2. a challenger becomes the holder, the skill of the stage, if it wins a paired race on further
    fresh scenarios (`cgtorch.improvement.race`);
-3. from the second cycle of structures on, half of all actions tune the holder's parameters
-   (`cgtorch.improvement.tuning`), with ever more scenarios, while the other half looks for other
-   structures, so that local optima are left.
+3. from the second cycle of structures on, half of all actions tune parameters with ever more
+   scenarios (`cgtorch.improvement.tuning`): the holder's, and then those of other structures. The
+   other half looks for new structures, so that local optima are left.
 """
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf
@@ -22,10 +23,10 @@ import torch
 from torch import Generator
 
 from cgtorch.evolution import EvolutionState, Generation, Population, evolve
-from cgtorch.evolution.lineages import tunable
 from cgtorch.evolution.population import initial_strategy
 from cgtorch.evolution.search import derived_generator
 from cgtorch.graphs import Graphs, Skill, compacted, merged
+from cgtorch.ground.asked import BudgetSpentError
 from cgtorch.ground.environment import Environment
 from cgtorch.improvement import tuning as tune
 from cgtorch.improvement.checkpoint import Found, checkpoint_of, found_from, islands_from
@@ -43,6 +44,7 @@ from cgtorch.improvement.tuning import Tuning
 
 OFTEN = 5  # generations between two nominations
 CYCLES = 2  # generations of new structures after which tuning begins
+LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
 AT_LAST = 8  # the search plays so many times as many episodes as the last choice
 GRACE = 3.0  # s that the last choice may take after the end of the time
 KNOWN = 16  # values of the holder from which its mean is compared with the target
@@ -74,14 +76,16 @@ class Search:
         )
         if spent.bred < CYCLES:
             spent = replace(spent, tuned=spent.searched)
-        state = replace(state, need=state.need.after(generation.scores), spent=spent)
+        most = spent.episodes // (LARGEST * len(generation.scores))
+        state = replace(state, need=state.need.after(generation.scores, most), spent=spent)
         for graphs in self._nominees(state, generation):
             state, _ = self._raced(state, self.skill_of(graphs), generator)
         while state.holder is not None and state.spent.tuned < state.spent.searched:
-            after = self._tuned(state, generator)
-            if after is state:
+            if state.tuning is None:
+                state = self._tuning(state, generation)
+            if state.tuning is None:
                 break
-            state = after
+            state = self._tuned(state, state.tuning, generator)
         return state
 
     def _nominees(self, state: State, generation: Generation) -> list[Graphs]:
@@ -93,11 +97,7 @@ class Search:
         if not lineages:
             return champion
         leader = max(lineages, key=lambda each: each.recent_fitness)
-        graph, mean = leader.best.graphs, leader.distribution.mean.float()[None]
-        return [
-            *champion,
-            tune.with_parameters(graph, tunable(graph, self.setup.actions), mean),
-        ]
+        return [*champion, tune.continued(leader, 0).mean(self.setup.actions)]
 
     def _raced(self, state: State, challenger: Skill, generator: Generator) -> tuple[State, bool]:
         """The state after a race, and whether the challenger has won it."""
@@ -111,35 +111,46 @@ class Search:
         state = replace(state, spent=replace(state.spent, raced=raced))
         return state.held_by(winner), winner.skill is challenger
 
-    def _tuned(self, state: State, generator: Generator) -> State:
-        """The state after an update of the holder's parameters; the same if it has none."""
-        holder, tuning, actions = state.holder, state.tuning, self.setup.actions
-        assert holder is not None  # noqa: S101
-        if tuning is None or holder.skill.graph is not tuning.graph:
-            tuning = self._tuning_of(holder.skill, state.need.scenarios)
-        if tuning is None:
+    def _tuning(self, state: State, generation: Generation) -> State:
+        """The state with a graph to tune next: the holder's, and once that is done, others'.
+
+        Of the lineages that are under way, it is the best of those whose kind was tuned longest
+        ago, so that a structure that is promising gets the care that the holder has had.
+        """
+        holder, actions, scenarios = state.holder, self.setup.actions, state.need.scenarios
+        lineages = generation.islands[0].lineages
+        if not state.settled and holder is not None and holder.skill.actions is actions:
+            return replace(state, tuning=tune.begun(holder.skill.graph, actions, scenarios))
+        if not lineages:
             return state
-        before = self.fresh.executed, self.fresh.episodes
+        kinds = state.kinds
+        next_one = max(lineages, key=lambda each: (-_place(each.kind, kinds), each.recent_fitness))
+        kinds = (*(kind for kind in kinds if kind != next_one.kind), next_one.kind)
+        return replace(state, tuning=tune.continued(next_one, scenarios), kinds=kinds)
+
+    def _tuned(self, state: State, tuning: Tuning, generator: Generator) -> State:
+        """The state after an update of what is tuned, and a race of its mean if that is due."""
+        actions, before = self.setup.actions, (self.fresh.executed, self.fresh.episodes)
         tuning = tune.update(tuning, actions, self.fresh, generator)
+        episodes = self.fresh.episodes - before[1]
         spent = replace(
             state.spent,
             tuned=state.spent.tuned + self.fresh.executed - before[0],
-            episodes=state.spent.episodes + self.fresh.episodes - before[1],
+            episodes=state.spent.episodes + episodes,
         )
-        state = replace(state, tuning=tuning, spent=spent)
+        state = replace(state, spent=spent)
         if not tuning.due:
-            return state
-        mean = replace(holder.skill, name=self.setup.name, graph=tuning.mean(actions))
+            return replace(state, tuning=tuning)
+        setup = self.setup
+        mean = Skill(setup.name, tuning.mean(actions), actions, setup.max_transitions)
         state, won = self._raced(state, mean, generator)
         tuning = tuning.raced(won)
-        if won and state.holder is not None:
-            tuning = replace(tuning, graph=state.holder.skill.graph)
-        return replace(state, tuning=tuning.more() if tuning.stalled else tuning)
-
-    def _tuning_of(self, skill: Skill, scenarios: int) -> Tuning | None:
-        """The tuning of a skill; None if it has other actions, as a team has, or no parameters."""
-        actions = self.setup.actions
-        return tune.begun(skill.graph, actions, scenarios) if skill.actions is actions else None
+        if won:  # so that it is the holder that is tuned
+            return replace(state, tuning=replace(tuning, graph=mean.graph))
+        if not tuning.stalled:
+            return replace(state, tuning=tuning)
+        more = tuning.more() if LARGEST * episodes <= spent.episodes else None
+        return replace(state, tuning=more, settled=state.settled or more is None)
 
     def certain(self, state: State, generator: Generator) -> tuple[State, bool]:
         """The state with a mean that is known better, and whether it is at least the target."""
@@ -149,6 +160,17 @@ class Search:
         if (missing := TRIED - holder.count) > 0:
             holder = holder.met(self.fresh.of_skills([holder.skill], missing, generator)[0])
         return replace(state, holder=holder), holder.mean - CERTAIN * holder.error >= target
+
+    def chosen(self, state: State, certain: bool, generator: Generator) -> Skill | None:
+        """The best of the holder and those before it; the holder if its mean is known well."""
+        if state.holder is None or certain or not state.earlier:
+            return None if state.holder is None else state.holder.skill
+        every = [state.holder.skill, *state.earlier]
+        episodes, stop = state.spent.episodes // AT_LAST, partial(self.setup.purse.late, GRACE)
+        try:
+            return best_of(self.fresh, every, episodes, generator, stop)
+        except BudgetSpentError:  # the time ended meanwhile
+            return state.holder.skill
 
 
 def improve_expected(
@@ -172,44 +194,40 @@ def improve_expected(
     def world(count: int, generator: Generator) -> Environment:
         return setup.world_of(draw(count, generator))
 
-    search = Search(setup, Fresh(world, setup.max_transitions))
-    state, islands = _recalled(setup, progress)
-    limit, began = setup.attempts * setup.budget.generations, time.perf_counter()
-
     def environment(number: int) -> Environment:
         return world(state.need.scenarios, derived_generator(own, 2 * number + 1))
 
-    for generation in evolve(
-        environment,
-        setup.actions,
-        setup.evolution,
-        setup.generator,
-        seeds=progress.specialists,
-        islands=islands,
-        max_transitions=setup.max_transitions,
-    ):
-        _record(setup, progress, state, generation)
-        before, generator = state.holder, derived_generator(own, 2 * generation.number + 2)
-        state = search.after(state, generation, generator)
-        state, certain = search.certain(state, generator)
-        now = time.perf_counter()
-        counts = solved_of(generation.succeeded, torch.zeros_like(generation.succeeded))
-        done = generation, limit, now - began
-        began = now
-        setup.watch(GenerationDone(setup.name, setup.name, *counts, *done))
-        _tell(setup, state, before)
-        if certain or state.spent.generations >= limit or setup.purse.late():
-            break
-    if state.holder is None:
+    search = Search(setup, Fresh(world, setup.max_transitions))
+    state, islands = _recalled(setup, progress)
+    limit, began = setup.attempts * setup.budget.generations, time.perf_counter()
+    how: Any = {"seeds": progress.specialists, "islands": islands}
+    about = environment, setup.actions, setup.evolution, setup.generator
+    certain = False
+    with suppress(BudgetSpentError):  # when the time is over
+        for generation in evolve(*about, **how, max_transitions=setup.max_transitions):
+            _record(setup, progress, state, generation)
+            before, generator = state.holder, derived_generator(own, 2 * generation.number + 2)
+            state = search.after(state, generation, generator)
+            state, certain = search.certain(state, generator)
+            now = time.perf_counter()
+            counts = solved_of(generation.succeeded, torch.zeros_like(generation.succeeded))
+            done = generation, limit, now - began
+            began = now
+            setup.watch(GenerationDone(setup.name, setup.name, *counts, *done))
+            _tell(setup, state, before)
+            if certain or state.spent.generations >= limit or setup.purse.late():
+                break
+    skill = search.chosen(state, certain, derived_generator(own, 2 * limit + 3))
+    if skill is None:
         return progress
-    skill, generator = state.holder.skill, derived_generator(own, 2 * limit + 3)
-    if not certain and state.earlier:
-        every = [skill, *state.earlier]
-        episodes, stop = state.spent.episodes // AT_LAST, partial(setup.purse.late, GRACE)
-        skill = best_of(search.fresh, every, episodes, generator, stop)
     usual = skill.actions is setup.actions
     seeds = Population(skill.graph, initial_strategy(1)) if usual else progress.specialists
     return replace(progress, skill=skill, specialists=seeds)
+
+
+def _place(kind: tuple[int, ...], kinds: tuple[tuple[int, ...], ...]) -> int:
+    """The place of a kind in order, from 1; 0 if it is not there."""
+    return kinds.index(kind) + 1 if kind in kinds else 0
 
 
 def _step(setup: Setup[Any]) -> str:

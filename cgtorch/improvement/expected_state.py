@@ -15,6 +15,7 @@ from cgtorch.improvement.spread import Need
 from cgtorch.improvement.tuning import Tuning
 
 RACING = 4  # the search plays so many times as many episodes as races
+END = -2  # of a kind, among the numbers of a tensor
 EARLIER = 7  # beaten holders that are tried again at the end
 
 
@@ -48,7 +49,9 @@ class State:
     Attributes:
         holder: The best skill so far; None before any finished an episode.
         earlier: Beaten holders, the last ones.
-        tuning: The tuning of the holder's parameters; None before it begins.
+        tuning: What is being tuned; None if that is to be chosen.
+        settled: Whether the holder was tuned as far as possible.
+        kinds: The kinds of lineages (`Lineage.kind`) that were tuned, the latest last.
         need: The number of scenarios of the next generation.
         spent: What was spent so far.
     """
@@ -56,6 +59,8 @@ class State:
     holder: Holder | None = None
     earlier: tuple[Skill, ...] = ()
     tuning: Tuning | None = None
+    settled: bool = False
+    kinds: tuple[tuple[int, ...], ...] = ()
     need: Need = field(default_factory=Need)
     spent: Spent = field(default_factory=Spent)
 
@@ -64,7 +69,7 @@ class State:
         if self.holder is None or holder.skill is self.holder.skill:
             return replace(self, holder=holder)
         earlier = (*self.earlier, self.holder.skill)[-EARLIER:]
-        return replace(self, holder=holder, earlier=earlier)
+        return replace(self, holder=holder, earlier=earlier, tuning=None, settled=False)
 
     @property
     def longest(self) -> int:
@@ -77,6 +82,8 @@ def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
     found = {
         "need": torch.tensor([state.need.scenarios, state.need.reliability], dtype=torch.float64),
         "spent": torch.tensor(astuple(state.spent)),
+        "settled": torch.tensor(state.settled),
+        "kinds": torch.tensor([number for kind in state.kinds for number in (*kind, END)]).long(),
     }
     if state.holder is None:
         return found
@@ -87,8 +94,9 @@ def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
     for number, skill in enumerate(skills):
         if skill is not given:
             found |= population_tensors(f"skill {number}", _alone(skill.graph))
-    if tuning is not None and tuning.graph is holder.skill.graph:
+    if tuning is not None:
         about = tuning.distribution
+        found |= population_tensors("tuning", _alone(tuning.graph))
         found |= {f"tuning.{name}": getattr(about, name) for name in VECTORS}
         found["tuning.step"] = torch.tensor(about.step, dtype=torch.float64)
         counts = about.updates, tuning.scenarios, tuning.lost, int(tuning.reliable)
@@ -106,7 +114,10 @@ def state_from_tensors(
     with damage():
         scenarios, reliability = tensors["need"].tolist()
         state = State(
-            need=Need(int(scenarios), reliability), spent=Spent(*tensors["spent"].tolist())
+            need=Need(int(scenarios), reliability),
+            spent=Spent(*tensors["spent"].tolist()),
+            settled=bool(tensors["settled"]),
+            kinds=_kinds(tensors["kinds"].tolist()),
         )
         if "sums" not in tensors:
             return state
@@ -126,8 +137,22 @@ def state_from_tensors(
         updates, scenarios, lost, reliable = tensors["tuning.counts"].tolist()
         vectors = {name: tensors[f"tuning.{name}"] for name in VECTORS}
         about = Distribution(step=float(tensors["tuning.step"]), updates=updates, **vectors)
-        tuning = Tuning(holder.skill.graph, about, scenarios, lost, bool(reliable))
+        graph = population_named("tuning", tensors, actions)[:1].graphs
+        tuning = Tuning(graph, about, scenarios, lost, bool(reliable))
         return replace(state, tuning=tuning)
+
+
+def _kinds(numbers: list[int]) -> tuple[tuple[int, ...], ...]:
+    """The kinds in a list of numbers, where each of them is followed by `END`."""
+    found: list[tuple[int, ...]] = []
+    kind: list[int] = []
+    for number in numbers:
+        if number == END:
+            found.append(tuple(kind))
+            kind = []
+        else:
+            kind.append(number)
+    return tuple(found)
 
 
 def _alone(graph: Graphs) -> Population:

@@ -68,7 +68,11 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     first, accepted, best, idle, done = state, False, (0, 0), 0, False
     for _ in range(setup.attempts):
         before = state.current
-        candidate, state = proposed(setup, state)
+        try:
+            candidate, state = proposed(setup, state)
+        except BudgetSpentError:  # when the time is over
+            setup.purse.exhausted = True
+            break
         if done and candidate is before:
             break
         if done:  # the new one has to show some of it, too

@@ -20,7 +20,7 @@ FIRST, FEWEST = 8, 64  # pairs of the first look, and of the first that can deci
 SURE, AT_LAST = 3.0, 1.64  # standard errors by which it has to be better, and after the last pair
 HOPELESS = 1.0  # standard errors below the holder at which it gives up
 MOST_AT_ONCE = 2**13  # scenarios of one rollout
-PART = 256  # scenarios of the last choice between two looks at the clock
+PART = 32  # scenarios of the last choice before a look at the clock; later parts double
 
 
 @dataclass(frozen=True)
@@ -139,11 +139,11 @@ def best_of(
     totals = torch.zeros(len(left), dtype=torch.float64)
     while len(left) > 1:
         count = max(FIRST, episodes // rungs // len(left))
-        for begin in range(0, count, PART):
-            if stop():
-                break
-            more = min(PART, count - begin)
+        met = 0
+        while met < count and not stop():
+            more = min(max(PART, met), count - met)
             totals = totals + fresh.of_skills(left, more, generator).double().sum(1)
+            met += more
         stay = totals.argsort(descending=True, stable=True)[: -(-len(left) // 2)].sort().values
         left, totals = [left[i] for i in stay.tolist()], totals[stay]
     return left[0]

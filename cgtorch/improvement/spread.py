@@ -19,13 +19,13 @@ class Need:
     scenarios: int = FEWEST
     reliability: float = (FEW + MANY) / 2
 
-    def after(self, scores: Tensor) -> "Need":
-        """The need after a generation with scores (P, B)."""
+    def after(self, scores: Tensor, most: int = MOST) -> "Need":
+        """The need after a generation with scores (P, B); it grows to `most` at most."""
         now = max(-1.0, reliability(scores))
         smooth = MEMORY * self.reliability + (1 - MEMORY) * now
         count = self.scenarios
         if smooth < FEW:
-            count = min(MOST, -(-count * 6 // 5))
+            count = max(count, min(MOST, most, -(-count * 6 // 5)))
         elif smooth > MANY:
             count = max(FEWEST, count * 4 // 5)
         return Need(count, smooth)

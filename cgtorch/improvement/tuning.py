@@ -1,4 +1,4 @@
-"""Tuning the parameters of the skill that holds the place of the best, by CMA-ES."""
+"""Tuning the parameters of a graph by CMA-ES, for as long as its mean wins races."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ from cgtorch.evolution.cma import (
     usual_count,
 )
 from cgtorch.evolution.fitness import WORST
-from cgtorch.evolution.lineages import tunable
+from cgtorch.evolution.lineages import Lineage, tunable
 from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.improvement.race import Fresh
 from cgtorch.improvement.spread import MANY, reliability
@@ -77,6 +77,11 @@ def begun(graph: Graphs, actions: ActionSet, scenarios: int) -> Tuning | None:
     deviation = steps[graph.action[0]][:, None].expand(where.shape)[where]
     distribution = initial_distribution(graph.parameters[0][where], deviation)
     return Tuning(graph, distribution, scenarios)
+
+
+def continued(lineage: Lineage, scenarios: int) -> Tuning:
+    """The tuning of a lineage's graph, with its distribution."""
+    return Tuning(lineage.best.graphs, lineage.distribution, scenarios)
 
 
 def update(tuning: Tuning, actions: ActionSet, fresh: Fresh, generator: Generator) -> Tuning:

@@ -39,6 +39,7 @@ from cgtorch.runs.log import history_of
 from cgtorch.runs.storage import load_progress, save_progress
 from cgtorch.runs.stored_run import AUTO, SKILL, StoredRun
 from cgtorch.training.context import Training, for_means
+from cgtorch.training.deadline import deadline
 from cgtorch.training.evaluate import Score, evaluate_skill
 from cgtorch.training.start import initial_progress, recall_spent, spent_of
 
@@ -247,7 +248,7 @@ def make_stage(
         setup = training.setup(name, journal)
         setup = replace(setup, name=name, generator=generator, watch=listen)
         began, after = time.perf_counter(), before
-        with _best_at_hand(training, again, tally):
+        with _best_at_hand(training, again, tally), deadline(training.purse):
             if not training.by_mean(before):
                 after = METHODS[run.settings.method](setup, before, tests, draw)
             if training.by_mean(after) and not training.purse.exhausted:

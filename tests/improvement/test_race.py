@@ -99,4 +99,4 @@ def test_the_last_choice_is_the_best_of_several() -> None:
 def test_the_last_choice_may_be_stopped() -> None:
     place, looks = fresh(), iter([False, False])
     best_of(place, [BAD, BEST], 10**6, seeded(0), lambda: next(looks, True))
-    assert place.episodes == 2 * 2 * 256
+    assert place.episodes == 2 * (32 + 32)
