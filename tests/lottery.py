@@ -8,12 +8,11 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch import Action, ActionSet, Domain, Field, Lanes, ScenarioBatch, Skill, World
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import BranchingNN, Graphs
 from cgtorch.ground.counter_rng import uniform
 from cgtorch.ground.environment import Environment
 
 MARK, DRAWN, WON = range(3)
-SUREST = 0.9  # how likely the best stake, which is the ticket's mark, wins
 
 
 @dataclass(frozen=True)
@@ -37,13 +36,14 @@ class Lottery(World):
     """A single draw for each ticket."""
 
     control_size = 1
+    surest = 0.9  # how likely the best stake, which is the ticket's mark, wins
 
     def first_state(self, scenario: Tensor) -> Tensor:
         mark = self.scenarios.mark[scenario]
         return torch.stack([mark, torch.zeros_like(mark), torch.zeros_like(mark)], 1)
 
     def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
-        likely = SUREST - (control[:, 0].clamp(-1, 1) - state[:, MARK]).abs() / 2
+        likely = self.surest - (control[:, 0].clamp(-1, 1) - state[:, MARK]).abs() / 2
         luck = uniform(self.scenarios.seed[scenario], "draw", state[:, DRAWN].long(), 1)[:, 0]
         won = (luck < likely).float()
         after = torch.stack([state[:, MARK], torch.ones_like(won), won], 1)
@@ -54,6 +54,12 @@ class Lottery(World):
 
     def succeeded(self, state: Tensor) -> Tensor:
         return state[:, WON] > 0
+
+
+class HardLottery(Lottery):
+    """One in which the best stake often loses, too."""
+
+    surest = 0.6
 
 
 class PaidLottery(Lottery):
@@ -128,10 +134,10 @@ class Tombola(Domain[Tickets]):
         return tickets(count, generator)
 
     def world(self, scenarios: Tickets) -> Lottery:
-        return Lottery(scenarios)
+        return HardLottery(scenarios)
 
     def actions(self) -> ActionSet:
-        return ACTIONS
+        return ACTIONS.extended(["Branch"], [BranchingNN(2)])
 
 
 class PaidTombola(Tombola):

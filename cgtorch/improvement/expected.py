@@ -15,7 +15,6 @@ once is a fact that later skills have to keep. So there is no W, and
 import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from math import inf
 from typing import Any
 
@@ -38,15 +37,13 @@ from cgtorch.improvement.events import (
     solved_of,
 )
 from cgtorch.improvement.expected_state import State, state_from_tensors, tensors_of_state
-from cgtorch.improvement.race import Fresh, Holder, best_of, race
+from cgtorch.improvement.race import Fresh, Holder, race
 from cgtorch.improvement.setup import Draw, Progress, Setup
 from cgtorch.improvement.tuning import Tuning
 
 OFTEN = 5  # generations between two nominations
 CYCLES = 2  # generations of new structures after which tuning begins
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
-AT_LAST = 8  # the search plays so many times as many episodes as the last choice
-GRACE = 3.0  # s that the last choice may take after the end of the time
 KNOWN = 16  # values of the holder from which its mean is compared with the target
 TRIED, CERTAIN = 100, 2.0  # values with which it has to hold, by so many standard errors
 
@@ -161,17 +158,6 @@ class Search:
             holder = holder.met(self.fresh.of_skills([holder.skill], missing, generator)[0])
         return replace(state, holder=holder), holder.mean - CERTAIN * holder.error >= target
 
-    def chosen(self, state: State, certain: bool, generator: Generator) -> Skill | None:
-        """The best of the holder and those before it; the holder if its mean is known well."""
-        if state.holder is None or certain or not state.earlier:
-            return None if state.holder is None else state.holder.skill
-        every = [state.holder.skill, *state.earlier]
-        episodes, stop = state.spent.episodes // AT_LAST, partial(self.setup.purse.late, GRACE)
-        try:
-            return best_of(self.fresh, every, episodes, generator, stop)
-        except BudgetSpentError:  # the time ended meanwhile
-            return state.holder.skill
-
 
 def improve_expected(
     setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]
@@ -202,7 +188,6 @@ def improve_expected(
     limit, began = setup.attempts * setup.budget.generations, time.perf_counter()
     how: Any = {"seeds": progress.specialists, "islands": islands}
     about = environment, setup.actions, setup.evolution, setup.generator
-    certain = False
     with suppress(BudgetSpentError):  # when the time is over
         for generation in evolve(*about, **how, max_transitions=setup.max_transitions):
             _record(setup, progress, state, generation)
@@ -217,9 +202,9 @@ def improve_expected(
             _tell(setup, state, before)
             if certain or state.spent.generations >= limit or setup.purse.late():
                 break
-    skill = search.chosen(state, certain, derived_generator(own, 2 * limit + 3))
-    if skill is None:
+    if state.holder is None:
         return progress
+    skill = state.holder.skill
     usual = skill.actions is setup.actions
     seeds = Population(skill.graph, initial_strategy(1)) if usual else progress.specialists
     return replace(progress, skill=skill, specialists=seeds)

@@ -16,7 +16,6 @@ from cgtorch.improvement.tuning import Tuning
 
 RACING = 4  # the search plays so many times as many episodes as races
 END = -2  # of a kind, among the numbers of a tensor
-EARLIER = 7  # beaten holders that are tried again at the end
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,6 @@ class State:
 
     Attributes:
         holder: The best skill so far; None before any finished an episode.
-        earlier: Beaten holders, the last ones.
         tuning: What is being tuned; None if that is to be chosen.
         settled: Whether the holder was tuned as far as possible.
         kinds: The kinds of lineages (`Lineage.kind`) that were tuned, the latest last.
@@ -57,7 +55,6 @@ class State:
     """
 
     holder: Holder | None = None
-    earlier: tuple[Skill, ...] = ()
     tuning: Tuning | None = None
     settled: bool = False
     kinds: tuple[tuple[int, ...], ...] = ()
@@ -68,8 +65,7 @@ class State:
         """The state with the winner of a race as the holder."""
         if self.holder is None or holder.skill is self.holder.skill:
             return replace(self, holder=holder)
-        earlier = (*self.earlier, self.holder.skill)[-EARLIER:]
-        return replace(self, holder=holder, earlier=earlier, tuning=None, settled=False)
+        return replace(self, holder=holder, tuning=None, settled=False)
 
     @property
     def longest(self) -> int:
@@ -87,13 +83,11 @@ def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
     }
     if state.holder is None:
         return found
-    holder, tuning, skills = state.holder, state.tuning, (state.holder.skill, *state.earlier)
+    holder, tuning = state.holder, state.tuning
     sums = [holder.total, holder.squares, float(holder.count)]
     found["sums"] = torch.tensor(sums, dtype=torch.float64)
-    found["given"] = torch.tensor([skill is given for skill in skills])
-    for number, skill in enumerate(skills):
-        if skill is not given:
-            found |= population_tensors(f"skill {number}", _alone(skill.graph))
+    if holder.skill is not given:
+        found |= population_tensors("holder", _alone(holder.skill.graph))
     if tuning is not None:
         about = tuning.distribution
         found |= population_tensors("tuning", _alone(tuning.graph))
@@ -121,17 +115,14 @@ def state_from_tensors(
         )
         if "sums" not in tensors:
             return state
-        skills = []
-        for number, old in enumerate(tensors["given"].tolist()):
-            if old:
-                assert given is not None  # noqa: S101
-                skills.append(given)
-            else:
-                graph = population_named(f"skill {number}", tensors, actions)[:1].graphs
-                skills.append(replace(like, graph=graph))
+        skill = given
+        if "holder.action" in tensors:
+            graph = population_named("holder", tensors, actions)[:1].graphs
+            skill = replace(like, graph=graph)
+        if skill is None:
+            raise ValueError("it has a holder that is not there")
         total, squares, count = tensors["sums"].tolist()
-        holder = Holder(skills[0], total, squares, int(count))
-        state = replace(state, holder=holder, earlier=tuple(skills[1:]))
+        state = replace(state, holder=Holder(skill, total, squares, int(count)))
         if "tuning.step" not in tensors:
             return state
         updates, scenarios, lost, reliable = tensors["tuning.counts"].tolist()

@@ -20,7 +20,6 @@ FIRST, FEWEST = 8, 64  # pairs of the first look, and of the first that can deci
 SURE, AT_LAST = 3.0, 1.64  # standard errors by which it has to be better, and after the last pair
 HOPELESS = 1.0  # standard errors below the holder at which it gives up
 MOST_AT_ONCE = 2**13  # scenarios of one rollout
-PART = 32  # scenarios of the last choice before a look at the clock; later parts double
 
 
 @dataclass(frozen=True)
@@ -121,29 +120,3 @@ def race(
 
 def _error(values: Tensor) -> float:
     return float(values.std()) / sqrt(len(values))
-
-
-def best_of(
-    fresh: Fresh,
-    skills: Sequence[Skill],
-    episodes: int,
-    generator: Generator,
-    stop: Callable[[], bool] = lambda: False,
-) -> Skill:
-    """The best of some skills by sequential halving in about so many episodes, or up to a stop.
-
-    The better half of them meets twice as many scenarios, and so on (Karnin, Koren and Somekh,
-    "Almost optimal exploration in multi-armed bandits", ICML 2013).
-    """
-    left, rungs = list(skills), max(1, (len(skills) - 1).bit_length())
-    totals = torch.zeros(len(left), dtype=torch.float64)
-    while len(left) > 1:
-        count = max(FIRST, episodes // rungs // len(left))
-        met = 0
-        while met < count and not stop():
-            more = min(max(PART, met), count - met)
-            totals = totals + fresh.of_skills(left, more, generator).double().sum(1)
-            met += more
-        stay = totals.argsort(descending=True, stable=True)[: -(-len(left) // 2)].sort().values
-        left, totals = [left[i] for i in stay.tolist()], totals[stay]
-    return left[0]

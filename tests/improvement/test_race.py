@@ -9,7 +9,7 @@ from support import seeded
 from torch import Generator
 
 from cgtorch.graphs import Skill
-from cgtorch.improvement.race import FEWEST, FIRST, Fresh, Holder, best_of, race
+from cgtorch.improvement.race import FEWEST, FIRST, Fresh, Holder, race
 
 BEST, GOOD, BAD = staking(1.0), staking(0.9), staking(0.0, 1.0)
 """Skills that win 90, 87.5 and 40 % of their tickets."""
@@ -85,18 +85,3 @@ def test_the_hopeless_end_a_race_early() -> None:
 def test_who_does_not_finish_an_episode_loses() -> None:
     assert race(fresh(paid=True), Holder(BAD), idle(), 10**4, seeded(0)).skill is BAD
     assert race(fresh(paid=True), Holder(idle()), BAD, 10**4, seeded(0)).skill is BAD
-
-
-def test_the_last_choice_is_the_best_of_several() -> None:
-    some = [staking(x) for x in (0.0, 0.4, 1.0, 0.6, -1.0)]
-    places = [fresh() for _ in range(10)]
-    chosen = [best_of(place, some, 20_000, seeded(number)) for number, place in enumerate(places)]
-    assert all(skill is some[2] for skill in chosen)
-    assert all(15_000 < place.episodes < 25_000 for place in places)
-    assert best_of(fresh(), some[:1], 100, seeded(0)) is some[0]
-
-
-def test_the_last_choice_may_be_stopped() -> None:
-    place, looks = fresh(), iter([False, False])
-    best_of(place, [BAD, BEST], 10**6, seeded(0), lambda: next(looks, True))
-    assert place.episodes == 2 * (32 + 32)
