@@ -34,11 +34,13 @@ from cgtorch.improvement.events import (
     GenerationDone,
     MeanTested,
     S,
+    SkillAccepted,
     solved_of,
 )
 from cgtorch.improvement.expected_state import State, state_from_tensors, tensors_of_state
 from cgtorch.improvement.race import Fresh, Holder, race
 from cgtorch.improvement.setup import Draw, Progress, Setup
+from cgtorch.improvement.trial import try_skill
 from cgtorch.improvement.tuning import Tuning
 
 OFTEN = 5  # generations between two nominations
@@ -77,6 +79,7 @@ class Search:
         state = replace(state, need=state.need.after(generation.scores, most), spent=spent)
         for graphs in self._nominees(state, generation):
             state, _ = self._raced(state, self.skill_of(graphs), generator)
+        state = self._met(state, generation.number, generator)
         while state.holder is not None and state.spent.tuned < state.spent.searched:
             if state.tuning is None:
                 state = self._tuning(state, generation)
@@ -84,6 +87,15 @@ class Search:
                 break
             state = self._tuned(state, state.tuning, generator)
         return state
+
+    def _met(self, state: State, number: int, generator: Generator) -> State:
+        """The state with further values of the holder, at once if it is new, else now and then."""
+        holder = state.holder
+        if holder is None or (number % OFTEN and holder.count):
+            return state
+        count = max(KNOWN, state.need.scenarios)
+        values = self.fresh.of_skills([holder.skill], count, generator)[0]
+        return replace(state, holder=holder.met(values))
 
     def _nominees(self, state: State, generation: Generation) -> list[Graphs]:
         """Graphs that may be better than the holder: the champion, and the best lineage's mean."""
@@ -168,7 +180,7 @@ def improve_expected(
         setup: The inputs of the stage, whose limit are `attempts` times `Budget.generations`
             generations.
         progress: The result of earlier stages; W and M stay as they are.
-        tests: The stage's own test scenarios, which have no part in it.
+        tests: The stage's own test scenarios, on which the result is tried at the end.
         draw: Draws fresh scenarios.
 
     Returns:
@@ -185,7 +197,8 @@ def improve_expected(
 
     search = Search(setup, Fresh(world, setup.max_transitions))
     state, islands = _recalled(setup, progress)
-    limit, began = setup.attempts * setup.budget.generations, time.perf_counter()
+    limit, first = setup.attempts * setup.budget.generations, time.perf_counter()
+    began = first
     how: Any = {"seeds": progress.specialists, "islands": islands}
     about = environment, setup.actions, setup.evolution, setup.generator
     with suppress(BudgetSpentError):  # when the time is over
@@ -205,6 +218,7 @@ def improve_expected(
     if state.holder is None:
         return progress
     skill = state.holder.skill
+    _report(setup, progress, skill, tests, time.perf_counter() - first)
     usual = skill.actions is setup.actions
     seeds = Population(skill.graph, initial_strategy(1)) if usual else progress.specialists
     return replace(progress, skill=skill, specialists=seeds)
@@ -247,6 +261,19 @@ def _record(
     )
     about = {**checkpoint.about, **tensors_of_state(state, progress.skill)}
     setup.journal.record_checkpoint(_step(setup), replace(checkpoint, about=about))
+
+
+def _report(setup: Setup[S], before: Progress[S], skill: Skill, tests: S, seconds: float) -> None:
+    """Report another skill than before, with its result on the stage's tests."""
+    if skill is before.skill:
+        return
+    succeeded = torch.zeros(0, dtype=torch.bool)
+    if len(tests):
+        succeeded = try_skill(skill, setup.world_of(tests)).succeeded
+    keep, targets = torch.zeros_like(succeeded), torch.ones_like(succeeded)
+    parent = None if before.skill is None else before.skill.name
+    about = tests, succeeded, keep, targets, seconds, None, parent
+    setup.watch(SkillAccepted(setup.name, skill, *about))
 
 
 def _tell(setup: Setup[Any], state: State, before: Holder | None) -> None:

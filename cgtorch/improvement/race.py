@@ -98,7 +98,8 @@ def race(
     """The better of two skills on up to `longest` fresh scenarios, which both meet.
 
     Their number doubles until the challenger is surely better, or hopeless. The holder stays where
-    that remains open, and knows its values.
+    that remains open. Its values do not count for its mean, as it stays more often where it was
+    lucky.
     """
     own, others, size = torch.zeros(0), torch.zeros(0), FIRST
     longest = max(longest, FEWEST)
@@ -106,7 +107,7 @@ def race(
         old, new = fresh.of_skills([holder.skill, challenger], size, generator)
         own, others = torch.cat([own, old]), torch.cat([others, new])
         if not others.isfinite().all():
-            return holder.met(own)
+            return holder
         if not own.isfinite().all():
             return Holder(challenger)
         gain = (others - own).double()
@@ -114,7 +115,7 @@ def race(
         if len(gain) >= FEWEST and mean > (AT_LAST if last else SURE) * error:
             return Holder(challenger)
         if last or (len(gain) > FIRST and mean < -HOPELESS * error):
-            return holder.met(own)
+            return holder
         size = min(len(gain), longest - len(gain))
 
 

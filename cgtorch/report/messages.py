@@ -79,12 +79,12 @@ def message_of(event: events.Event) -> str:
 
 
 def mean_text(mean: float | None, error: float | None) -> str:
-    """A mean with two standard errors, such as "2.86 ± 0.02", with as many digits as these have."""
+    """A mean with two standard errors, such as "2.86 ± 0.02", up to their first digit."""
     if mean is None:
         return MISSING
     if error is None:
         return f"{mean:.5g}"
-    digits = min(6, max(0, 1 - floor(log10(2 * error)))) if error > 0 else 4
+    digits = min(6, max(0, -floor(log10(2 * error)))) if error > 0 else 4
     return f"{mean:.{digits}f} ± {2 * error:.{digits}f}"
 
 
@@ -134,13 +134,12 @@ def _world_tested(event: events.WorldTested) -> str:
 
 def _skill_accepted(event: events.SkillAccepted[Any]) -> str:
     w, targets = event.succeeded[event.keep], event.targets
-    others = event.succeeded[~event.keep]
+    others, some = event.succeeded[~event.keep], len(event.succeeded) > 0
     nodes = f"{event.skill.num_nodes} node{'s' if event.skill.num_nodes != 1 else ''}"
     tests = f"tests {int(event.succeeded[targets].sum())}/{int(targets.sum())}"
     parts = [
         *([tests] if int(targets.sum()) < len(others) else []),  # in a round, M is the test
-        f"W {int(w.sum())}/{len(w)}",
-        f"M {int(others.sum())}/{len(others)}",
+        *([f"W {int(w.sum())}/{len(w)}", f"M {int(others.sum())}/{len(others)}"] if some else []),
         f"{nodes} in {event.skill.depth} level{'s' if event.skill.depth != 1 else ''}",
         as_time(event.seconds),
     ]

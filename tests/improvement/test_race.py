@@ -55,10 +55,8 @@ def winners(holder: Skill, challenger: Skill, longest: int, races: int = 60) -> 
     ]
     for place, winner in zip(places, found, strict=True):
         assert place.episodes <= 2 * max(longest, FEWEST)
-        if winner.skill is holder:  # whose values were not chosen by luck
-            assert 2 * winner.count == place.episodes
-        else:
-            assert winner == Holder(challenger)
+        # The holder stays more often where it was lucky, so these values do not count.
+        assert winner == Holder(winner.skill)
     return sum(winner.skill is challenger for winner in found)
 
 

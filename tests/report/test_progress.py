@@ -17,6 +17,7 @@ from cgtorch.improvement.events import (
     Event,
     FreshTested,
     GenerationDone,
+    MeanTested,
     ModelsFitted,
     ModelSummary,
     Practised,
@@ -317,8 +318,20 @@ def practised(in_a_row: int) -> Practised:
         (
             CHANCE,
             "S1: under other noise the same skill solves 40% of the 30 scenarios that it solved: "
-            "this world is chance; a scenario that was solved is no fact, and skills are compared "
-            "by counts",
+            "this world is chance; from now on skills are evolved in it on fresh scenarios, and "
+            "means count (--chance no overrules it)",
+        ),
+        (
+            MeanTested("S1", nearly(0.5), True, 2.8567, 0.0104, 4096, 12, 123456),
+            "S1: mean 2.86 ± 0.02 on 4,096 fresh episodes; 12 in each generation, 123,456 played",
+        ),
+        (
+            MeanTested("S1", nearly(0.5), True, None, None, 0, 4, 192),
+            "S1: mean – on 0 fresh episodes; 4 in each generation, 192 played",
+        ),
+        (
+            FreshTested("auto-2", "auto-2", 5, 16384, 3.0, True, 2.8567, 0.0104),
+            "auto-2: final test, mean return 2.86 ± 0.02 on 16384 fresh episodes, the goal is 3",
         ),
     ],
 )
