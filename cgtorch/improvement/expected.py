@@ -77,12 +77,13 @@ class Search:
             spent = replace(spent, tuned=spent.searched)
         most = spent.episodes // (LARGEST * len(generation.scores))
         state = replace(state, need=state.need.after(generation.scores, most), spent=spent)
+        state = state.with_candidates(map(tune.continued, lineages))
         for graphs in self._nominees(state, generation):
             state, _ = self._raced(state, self.skill_of(graphs), generator)
         state = self._met(state, generation.number, generator)
         while state.holder is not None and state.spent.tuned < state.spent.searched:
             if state.tuning is None:
-                state = self._tuning(state, generation)
+                state = self._tuning(state)
             if state.tuning is None:
                 break
             state = self._tuned(state, state.tuning, generator)
@@ -106,7 +107,7 @@ class Search:
         if not lineages:
             return champion
         leader = max(lineages, key=lambda each: each.recent_fitness)
-        return [*champion, tune.continued(leader, 0).mean(self.setup.actions)]
+        return [*champion, tune.continued(leader).mean(self.setup.actions)]
 
     def _raced(self, state: State, challenger: Skill, generator: Generator) -> tuple[State, bool]:
         """The state after a race, and whether the challenger has won it."""
@@ -120,22 +121,21 @@ class Search:
         state = replace(state, spent=replace(state.spent, raced=raced))
         return state.held_by(winner), winner.skill is challenger
 
-    def _tuning(self, state: State, generation: Generation) -> State:
-        """The state with a graph to tune next: the holder's, and once that is done, others'.
+    def _tuning(self, state: State) -> State:
+        """The state with a graph to tune next: the holder's and a candidate's in turn.
 
-        Of the lineages that are under way, it is the best of those whose kind was tuned longest
-        ago, so that a structure that is promising gets the care that the holder has had.
+        Of candidates, it is the one whose kind was tuned longest ago, so that a promising structure
+        gets the care that the holder has had.
         """
         holder, actions, scenarios = state.holder, self.setup.actions, state.need.scenarios
-        lineages = generation.islands[0].lineages
         if not state.settled and holder is not None and holder.skill.actions is actions:
             return replace(state, tuning=tune.begun(holder.skill.graph, actions, scenarios))
-        if not lineages:
+        if not state.candidates:
             return state
         kinds = state.kinds
-        next_one = max(lineages, key=lambda each: (-_place(each.kind, kinds), each.recent_fitness))
-        kinds = (*(kind for kind in kinds if kind != next_one.kind), next_one.kind)
-        return replace(state, tuning=tune.continued(next_one, scenarios), kinds=kinds)
+        chosen = min(state.candidates, key=lambda each: _place(each.kind, kinds))
+        kinds = (*(kind for kind in kinds if kind != chosen.kind), chosen.kind)
+        return replace(state, tuning=replace(chosen, scenarios=scenarios), kinds=kinds)
 
     def _tuned(self, state: State, tuning: Tuning, generator: Generator) -> State:
         """The state after an update of what is tuned, and a race of its mean if that is due."""
@@ -159,7 +159,8 @@ class Search:
         if not tuning.stalled:
             return replace(state, tuning=tuning)
         more = tuning.more() if LARGEST * episodes <= spent.episodes else None
-        return replace(state, tuning=more, settled=state.settled or more is None)
+        settled = state.settled if more else not state.settled
+        return replace(state, tuning=more, settled=settled)
 
     def certain(self, state: State, generator: Generator) -> tuple[State, bool]:
         """The state with a mean that is known better, and whether it is at least the target."""

@@ -1,5 +1,6 @@
 """The state of a search for the best mean (`cgtorch.improvement.expected`), and its tensors."""
 
+from collections.abc import Iterable
 from dataclasses import astuple, dataclass, field, replace
 
 import torch
@@ -15,6 +16,7 @@ from cgtorch.improvement.spread import Need
 from cgtorch.improvement.tuning import Tuning
 
 RACING = 4  # the search plays so many times as many episodes as races
+CANDIDATES = 8
 END = -2  # of a kind, among the numbers of a tensor
 
 
@@ -48,14 +50,16 @@ class State:
     Attributes:
         holder: The best skill so far; None before any finished an episode.
         tuning: What is being tuned; None if that is to be chosen.
-        settled: Whether the holder was tuned as far as possible.
-        kinds: The kinds of lineages (`Lineage.kind`) that were tuned, the latest last.
+        candidates: The latest lineage of each kind, the latest ones first.
+        settled: Whether it is a candidate's turn to be tuned, and not the holder's.
+        kinds: The kinds of candidates that were tuned, the latest last.
         need: The number of scenarios of the next generation.
         spent: What was spent so far.
     """
 
     holder: Holder | None = None
     tuning: Tuning | None = None
+    candidates: tuple[Tuning, ...] = ()
     settled: bool = False
     kinds: tuple[tuple[int, ...], ...] = ()
     need: Need = field(default_factory=Need)
@@ -66,6 +70,13 @@ class State:
         if self.holder is None or holder.skill is self.holder.skill:
             return replace(self, holder=holder)
         return replace(self, holder=holder, tuning=None, settled=False)
+
+    def with_candidates(self, latest: Iterable[Tuning]) -> "State":
+        """The state with further candidates, of which only the first of each kind stays."""
+        first: dict[tuple[int, ...], Tuning] = {}
+        for each in (*latest, *self.candidates):
+            first.setdefault(each.kind, each)
+        return replace(self, candidates=tuple(first.values())[:CANDIDATES])
 
     @property
     def longest(self) -> int:
@@ -81,21 +92,40 @@ def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
         "settled": torch.tensor(state.settled),
         "kinds": torch.tensor([number for kind in state.kinds for number in (*kind, END)]).long(),
     }
-    if state.holder is None:
-        return found
-    holder, tuning = state.holder, state.tuning
-    sums = [holder.total, holder.squares, float(holder.count)]
-    found["sums"] = torch.tensor(sums, dtype=torch.float64)
-    if holder.skill is not given:
-        found |= population_tensors("holder", _alone(holder.skill.graph))
-    if tuning is not None:
-        about = tuning.distribution
-        found |= population_tensors("tuning", _alone(tuning.graph))
-        found |= {f"tuning.{name}": getattr(about, name) for name in VECTORS}
-        found["tuning.step"] = torch.tensor(about.step, dtype=torch.float64)
-        counts = about.updates, tuning.scenarios, tuning.lost, int(tuning.reliable)
-        found["tuning.counts"] = torch.tensor(counts)
+    for number, candidate in enumerate(state.candidates):
+        found |= _tensors_of(f"candidate {number}", candidate)
+    if state.tuning is not None:
+        found |= _tensors_of("tuning", state.tuning)
+    if state.holder is not None:
+        holder = state.holder
+        sums = [holder.total, holder.squares, float(holder.count)]
+        found["sums"] = torch.tensor(sums, dtype=torch.float64)
+        if holder.skill is not given:
+            found |= population_tensors("holder", _alone(holder.skill.graph))
     return found
+
+
+def _tensors_of(part: str, tuning: Tuning) -> dict[str, Tensor]:
+    """The tensors of something that is tuned, or may be."""
+    about = tuning.distribution
+    counts = about.updates, tuning.scenarios, tuning.lost, int(tuning.reliable)
+    return {
+        **population_tensors(part, _alone(tuning.graph)),
+        **{f"{part}.{name}": getattr(about, name) for name in VECTORS},
+        f"{part}.step": torch.tensor(about.step, dtype=torch.float64),
+        f"{part}.counts": torch.tensor(counts),
+    }
+
+
+def _from_tensors(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> Tuning | None:
+    """What `_tensors_of` wrote; None if there is no such part."""
+    if f"{part}.step" not in tensors:
+        return None
+    updates, scenarios, lost, reliable = tensors[f"{part}.counts"].tolist()
+    vectors = {name: tensors[f"{part}.{name}"] for name in VECTORS}
+    about = Distribution(step=float(tensors[f"{part}.step"]), updates=updates, **vectors)
+    graph = population_named(part, tensors, actions)[:1].graphs
+    return Tuning(graph, about, scenarios, lost, bool(reliable))
 
 
 def state_from_tensors(
@@ -107,10 +137,14 @@ def state_from_tensors(
     """
     with damage():
         scenarios, reliability = tensors["need"].tolist()
+        numbers = range(CANDIDATES)
+        candidates = [_from_tensors(f"candidate {i}", tensors, actions) for i in numbers]
         state = State(
             need=Need(int(scenarios), reliability),
             spent=Spent(*tensors["spent"].tolist()),
             settled=bool(tensors["settled"]),
+            tuning=_from_tensors("tuning", tensors, actions),
+            candidates=tuple(each for each in candidates if each is not None),
             kinds=_kinds(tensors["kinds"].tolist()),
         )
         if "sums" not in tensors:
@@ -122,15 +156,7 @@ def state_from_tensors(
         if skill is None:
             raise ValueError("it has a holder that is not there")
         total, squares, count = tensors["sums"].tolist()
-        state = replace(state, holder=Holder(skill, total, squares, int(count)))
-        if "tuning.step" not in tensors:
-            return state
-        updates, scenarios, lost, reliable = tensors["tuning.counts"].tolist()
-        vectors = {name: tensors[f"tuning.{name}"] for name in VECTORS}
-        about = Distribution(step=float(tensors["tuning.step"]), updates=updates, **vectors)
-        graph = population_named("tuning", tensors, actions)[:1].graphs
-        tuning = Tuning(graph, about, scenarios, lost, bool(reliable))
-        return replace(state, tuning=tuning)
+        return replace(state, holder=Holder(skill, total, squares, int(count)))
 
 
 def _kinds(numbers: list[int]) -> tuple[tuple[int, ...], ...]:

@@ -21,7 +21,7 @@ from cgtorch.improvement.spread import MANY, reliability
 MOST = 2048  # scenarios of an update
 CAREFUL = 0.5  # first steps, as a multiple of those of new structures
 EVERY = 10  # updates between two races of the mean
-PATIENCE = 3  # races lost in a row after which there are twice as many scenarios
+PATIENCE = 4  # races lost in a row after which there are twice as many scenarios
 
 
 @dataclass(frozen=True, eq=False)  # as tensors have no single truth value
@@ -52,6 +52,11 @@ class Tuning:
         return replace(self, lost=0 if won else self.lost + 1)
 
     @property
+    def kind(self) -> tuple[int, ...]:
+        """The actions of the nodes, sorted."""
+        return tuple(sorted(self.graph.action[0].tolist()))
+
+    @property
     def due(self) -> bool:
         """Whether it is time for a race of the mean."""
         return self.distribution.updates % EVERY == 0
@@ -79,9 +84,9 @@ def begun(graph: Graphs, actions: ActionSet, scenarios: int) -> Tuning | None:
     return Tuning(graph, distribution, scenarios)
 
 
-def continued(lineage: Lineage, scenarios: int) -> Tuning:
-    """The tuning of a lineage's graph, with its distribution."""
-    return Tuning(lineage.best.graphs, lineage.distribution, scenarios)
+def continued(lineage: Lineage) -> Tuning:
+    """A tuning of a lineage's graph that may begin, with its distribution."""
+    return Tuning(lineage.best.graphs, lineage.distribution, 0)
 
 
 def update(tuning: Tuning, actions: ActionSet, fresh: Fresh, generator: Generator) -> Tuning:
