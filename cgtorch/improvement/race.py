@@ -18,6 +18,7 @@ from cgtorch.simulation import rollout
 
 FIRST, FEWEST = 8, 64  # pairs of the first look, and of the first that can decide for a challenger
 SURE, AT_LAST = 3.0, 1.64  # standard errors by which it has to be better, and after the last pair
+MANY = 512  # pairs from which that is enough after the last
 HOPELESS = 1.0  # standard errors below the holder at which it gives up
 MOST_AT_ONCE = 2**13  # scenarios of one rollout
 
@@ -112,7 +113,8 @@ def race(
             return Holder(challenger)
         gain = (others - own).double()
         mean, error, last = float(gain.mean()), _error(gain), len(gain) >= longest
-        if len(gain) >= FEWEST and mean > (AT_LAST if last else SURE) * error:
+        enough = AT_LAST if last and len(gain) >= MANY else SURE
+        if len(gain) >= FEWEST and mean > enough * error:
             return Holder(challenger)
         if last or (len(gain) > FIRST and mean < -HOPELESS * error):
             return holder

@@ -21,7 +21,7 @@ from cgtorch.improvement.spread import MANY, reliability
 MOST = 2048  # scenarios of an update
 CAREFUL = 0.5  # first steps, as a multiple of those of new structures
 EVERY = 10  # updates between two races of the mean
-PATIENCE = 4  # races lost in a row after which there are twice as many scenarios
+PATIENCE = 3  # races lost in a row after which there are twice as many scenarios
 
 
 @dataclass(frozen=True, eq=False)  # as tensors have no single truth value

@@ -61,7 +61,8 @@ class RunSettings:
     )
     population: int = option(
         400,
-        "Number of individuals in a population.",
+        "Number of individuals in a population. Where rewards are given or success is chance, the "
+        "default is 48.",
         least=2,
         when="Raise it if evolutions end without a solution; time grows in proportion.",
     )

@@ -29,6 +29,7 @@ from cgtorch.improvement.events import Event, Watch
 from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.runs.journal import SECONDS
 from cgtorch.runs.log import LogWatch
+from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.stored_run import StoredRun
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
@@ -50,6 +51,8 @@ NEW, SMALL, ROUNDS = 2, (3, 8), 3
 """Where low-level steps are counted: one individual in so many is new in each generation, the
 fewest and most nodes of first graphs, and rounds of tournaments, since lexicase selection on one
 scenario would leave one parent."""
+USUAL = RunSettings.population
+"""The default population, in place of which `REWARDS` has its own where means count."""
 WITH_TEST = 3, 6  # fewest and most nodes of first graphs of which one ends the skill
 SETTLED = 20  # generations without a better fitness after which the search for a solved group ends
 
@@ -204,9 +207,10 @@ def for_means(run: StoredRun, setup: Setup[Any], target: float) -> Setup[Any]:
     """The setup for `cgtorch.improvement.expected`, until the mean reaches a target."""
     s, domain = run.settings, run.domain
     ends = episodic(domain)  # else a skill has to test whether it has succeeded
+    usual = defaults_of(type(domain.settings))["population"] == s.population == USUAL
     evolution = replace(
         REWARDS,
-        population=s.population,
+        population=REWARDS.population if usual else s.population,
         selection=tournament(s.tournament),
         fitness=episode_return if rewarded(domain) else chance_of_success,
         initial_nodes=REWARDS.initial_nodes if ends else WITH_TEST,

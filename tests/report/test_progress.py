@@ -1,5 +1,6 @@
 import io
 import re
+import time
 from contextlib import suppress
 from dataclasses import replace
 
@@ -410,3 +411,14 @@ def test_work_is_heard_of_where_there_is_no_terminal(
         "grasps: 72 of 100, 0.667/s, left 0:42",
         "grasps: 90 of 100, 0.667/s, left 0:15",
     ]
+
+
+def test_without_a_terminal_there_is_a_line_wherever_nothing_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("cgtorch.report.progress.SILENCE", 0.5)
+    with ProgressDisplay(console(False)) as display:
+        display(StageStarted("S1", ("S0", "S1"), 0, 3, 24))
+        with display.working("fitting"):
+            time.sleep(2.5)
+    assert "S1, fitting, 0:0" in text_of(display)
