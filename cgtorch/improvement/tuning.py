@@ -21,6 +21,7 @@ from cgtorch.improvement.spread import MANY, reliability
 MOST = 2048  # scenarios of an update
 CAREFUL = 0.5  # first steps, as a multiple of those of new structures
 EVERY = 10  # updates between two races of the mean
+LONG = 150  # updates, before which a tuning goes on if samples can be told apart
 PATIENCE = 3  # races lost in a row after which there are twice as many scenarios
 
 
@@ -67,8 +68,13 @@ class Tuning:
         return self.lost >= PATIENCE
 
     def more(self) -> "Tuning | None":
-        """The same with twice as many scenarios; None where they would not help."""
-        if self.scenarios >= MOST or self.reliable:
+        """The tuning after it has stalled, with twice as many scenarios if luck hides differences.
+
+        None where neither these nor further updates would help.
+        """
+        if self.reliable:
+            return replace(self, lost=0) if self.distribution.updates < LONG else None
+        if self.scenarios >= MOST:
             return None
         return replace(self, lost=0, scenarios=min(MOST, 2 * self.scenarios))
 

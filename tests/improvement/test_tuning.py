@@ -12,6 +12,7 @@ from cgtorch.improvement.race import Fresh
 from cgtorch.improvement.tuning import (
     CAREFUL,
     EVERY,
+    LONG,
     MOST,
     PATIENCE,
     Tuning,
@@ -86,7 +87,11 @@ def test_after_lost_races_there_are_twice_as_many_scenarios_until_that_is_no_use
     assert last is not None
     assert last.scenarios == MOST
     assert last.more() is None
-    assert replace(tuning, reliable=True).more() is None
+    known = replace(tuning, reliable=True).more()
+    assert known is not None
+    assert (known.scenarios, known.stalled) == (600, False)
+    long = replace(tuning.distribution, updates=LONG)
+    assert replace(tuning, reliable=True, distribution=long).more() is None
 
 
 def test_races_come_after_some_updates() -> None:
