@@ -47,6 +47,7 @@ EPISODES, DECISIVE_EPISODES = 100, 200
 """The least number of episodes of the screening test and of the decisive test of a mean."""
 MOST_EPISODES, SHARE = 2**14, 10
 """The largest, and the share of those of the search (one in so many) that they are otherwise."""
+TESTING = 5.0  # s after the end of the time in which tests may go on
 ENOUGH = 12  # missed scenarios to learn from; a specialist's group has as many
 
 
@@ -216,14 +217,15 @@ def act(
 ) -> Score:
     """Try a skill on up to `most` fresh scenarios, until `enough` are missed.
 
-    Without a skill, all are missed. Once the time of the purse is over, `EPISODES` have to do.
+    Without a skill, all are missed. `TESTING` seconds after the end of the purse's time, `EPISODES`
+    have to do.
     """
     domain: Domain[Any] = run.domain
     parts = list[Score]()
     while (tried := sum(p.tried for p in parts)) < most and (
         sum(p.tried - p.successes for p in parts) < enough
     ):
-        if purse is not None and purse.late():
+        if purse is not None and purse.late(TESTING):
             if tried >= EPISODES:
                 break
             most = EPISODES
