@@ -66,19 +66,13 @@ def _train(work: Work, quiet: bool) -> None:
             display.say(line)
 
 
-def _aim(work: Work) -> float:
-    """The share of scenarios, or the mean return, to reach in rounds."""
-    domain = work.run.domain
-    return domain.target_return if rewarded(domain) else work.goal.target
-
-
 def _before(work: Work) -> Iterator[str]:
     """The plan of a new run, and where to watch it."""
     run, settings = work.run, work.run.settings
     about = f"domain {settings.domain}, seed {settings.seed}"
     if work.auto:
-        until = f"evolve skills until the target of {_aim(work):.4g} is met"
-        takes = f"No round begins after {work.goal.minutes:g} minutes (--minutes)."
+        until = f"evolve skills until the target of {work.goal.target:.4g} is met"
+        takes = f"It ends after {work.goal.minutes:g} minutes (--minutes) at the latest."
     else:
         until = f"evolve one skill for each of {', '.join(stages_to_make(run, work.stage))}"
         takes = "The time depends on the domain."
@@ -95,6 +89,9 @@ def _before(work: Work) -> Iterator[str]:
         yield f"  1. {parts}, and fit the transition model Γ and the success classifier C."
         yield "  2. Evolve skills inside Γ and C, and try the best of them in the world."
         yield "  3. Accept a skill if it forgets nothing and solves something new."
+    elif rewarded(run.domain):
+        yield "  1. Evolve skills in the world itself, on fresh episodes in each generation."
+        yield "  2. Keep the best until another skill beats it on further fresh episodes."
     else:
         yield "  1. Evolve skills in the world itself; no models are learned."
         yield "  2. Accept a skill if it forgets nothing and solves something new."
@@ -106,7 +103,7 @@ def _before(work: Work) -> Iterator[str]:
 def _end(work: Work, results: list[dict[str, Any]]) -> str:
     """The end of the sentence about a run's outcome, after its folder's name."""
     purse = work.purse
-    if purse.exhausted:
+    if purse.exhausted and not purse.late():
         limits = " and ".join(f"{limit:g} {name}" for name, limit in purse.limits.items())
         last = f"the best skill is {results[-1]['stage']}" if results else "there is no skill yet"
         return f"has spent its budget of {limits}; {last}; continue with --resume and more --budget"
@@ -114,10 +111,10 @@ def _end(work: Work, results: list[dict[str, Any]]) -> str:
         return f"is complete up to {work.stage}"
     rounds = results[len(results) - len(work.run.rounds) :]
     if reached(work.goal, rounds):
-        return f"has reached its goal of {_aim(work):.4g}"
+        return f"has reached its goal of {work.goal.target:.4g}"
     if not rounds:
         return "has made no round; raise --minutes"
-    return f"has not reached its goal of {_aim(work):.4g}; continue with --resume"
+    return f"has not reached its goal of {work.goal.target:.4g}; continue with --resume"
 
 
 def _after(work: Work) -> Iterator[str]:

@@ -34,7 +34,7 @@ MIGRANTS = 10  # one individual in so many
 RARELY = 0.05  # the largest rate of each change of structure as soon as a scenario is solved
 
 Environments: TypeAlias = Callable[[int], Environment]
-"""Makes the environment of each generation, counted from 0. All have equally many scenarios."""
+"""Makes the environment of each generation, counted from 0, with any number of scenarios."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,7 @@ class Generation:
         transitions: Number of actions until the ends of all rollouts, those of endless loops
             included.
         executed: How many of these were actually executed; the rest of a loop is only counted.
+        scores: (P, B) of the first of these islands, on the scenarios of this generation.
         not_finite: Number of individuals that do not count, because some of their numbers are not
             finite.
     """
@@ -64,6 +65,7 @@ class Generation:
     succeeded: Tensor
     transitions: int
     executed: int
+    scores: Tensor
     not_finite: int = 0
 
     @property
@@ -98,7 +100,7 @@ def evolve(
         generator: The generator of all random choices. It advances only on the rank that holds the
             first island.
         keep: (B,) bool, the scenarios of W (eq. 1a), on the environment's device. By default none,
-            on the CPU.
+            on the CPU. A function that makes environments has none.
         seeds: Earlier individuals, which become half of each first population.
         islands: Islands of this rank to continue, in place of first populations.
         max_transitions: Transitions after which a rollout fails.
@@ -124,14 +126,20 @@ def evolve(
     home = home_of(settings, actions, keep.device)
     islands = [replace(each, population=each.population.to(home)) for each in islands]
     about = partial(
-        settings.evaluate, actions, keep=keep, max_transitions=max_transitions, group=group,
+        settings.evaluate, actions, max_transitions=max_transitions, group=group,
         fitness=settings.fitness,
     )  # fmt: skip
-    evaluation = about(environment=first)
+    evaluation = about(environment=first, keep=keep)
+
+    def scores_of(result: Evaluation) -> Tensor:
+        # Of other scenarios, only means can be compared with those of earlier generations.
+        alone = callable(environment) and settings.lineages
+        return result.fitness[:, None] if alone else result.scores
+
     while True:
         results = [evaluation(island.population.graphs) for island in islands]
         evaluated = [
-            Evaluated(island.population, result.fitness, result.scores)
+            Evaluated(island.population, result.fitness, scores_of(result))
             for island, result in zip(islands, results, strict=True)
         ]
         generation = _generation(islands, evaluated, results, settings)
@@ -144,7 +152,8 @@ def evolve(
         pairs = zip(islands, evaluated, strict=True)
         islands = [next_state(*pair, settings, actions) for pair in pairs]
         if callable(environment):
-            evaluation = about(environment=environment(generation.number + 1))
+            fresh = environment(generation.number + 1)
+            evaluation = about(environment=fresh, keep=keep.new_zeros(fresh.num_scenarios))
 
 
 _tried: WeakKeyDictionary[ActionSet, set[type]] = WeakKeyDictionary()
@@ -239,6 +248,7 @@ def _generation(
         succeeded=best.scores[0].cpu(),
         transitions=transitions,
         executed=executed,
+        scores=results[0].scores,
         not_finite=not_finite,
     )
 

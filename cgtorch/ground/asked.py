@@ -1,8 +1,11 @@
 """World actions: what a run asks of its world, which on a robot takes time and wear."""
 
+import time
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, fields
+from math import inf
 
+from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError
 
 
@@ -51,11 +54,17 @@ class Purse:
         limits: The largest numbers by name; names without a limit are absent.
         spent: World actions so far, by phase.
         exhausted: Whether something was refused.
+        until: When no further action may begin, on the clock of `time.monotonic`.
     """
 
     limits: Mapping[str, float] = field(default_factory=dict)
     spent: dict[str, Asked] = field(default_factory=dict)
     exhausted: bool = False
+    until: float = inf
+
+    def late(self, grace: float = 0.0) -> bool:
+        """Whether the time has been over for so many seconds, by the clock of the first rank."""
+        return self.until < inf and ranks.broadcast(time.monotonic() >= self.until + grace)
 
     @property
     def total(self) -> Asked:
@@ -64,6 +73,9 @@ class Purse:
 
     def pay(self, phase: str, asked: Asked) -> None:
         """Count what is asked next; BudgetSpentError, and nothing is counted, beyond a limit."""
+        if self.late():
+            self.exhausted = True
+            raise BudgetSpentError("the time is over; give more (minutes, --minutes)")
         after = self.total + asked
         for name, limit in self.limits.items():
             if getattr(asked, name) and getattr(after, name) > limit:

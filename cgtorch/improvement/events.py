@@ -138,10 +138,30 @@ class Practised(Event):
 
 
 @dataclass(frozen=True)
+class MeanTested(Event):
+    """What `skill`, the best of a search, is worth on scenarios that it was not chosen on.
+
+    `mean` is that of `tried` returns, or of successes as 0 and 1, and `error` its standard error;
+    None if an episode did not finish, or nothing is known yet. `new` is whether the skill has just
+    won a race. The next generation has `scenarios`; the search has played `episodes` so far.
+    """
+
+    stage: str
+    skill: Skill
+    new: bool
+    mean: float | None
+    error: float | None
+    tried: int
+    scenarios: int
+    episodes: int
+
+
+@dataclass(frozen=True)
 class ChanceFound(Event):
     """Of `tried` scenarios that a skill has solved, it solves `succeeded` under other noise.
 
-    So few are chance: what was solved once is no fact, and the run judges by counts from now on.
+    So few are chance: what was solved once is no fact, and the run judges by means from now on
+    (`cgtorch.improvement.expected`).
     """
 
     stage: str
@@ -176,7 +196,7 @@ class FreshTested(Event):
 
     It is the round's own skill, or the earlier one if none was accepted. `target` is the share to
     reach, or the mean return if the domain gives rewards. `decisive` is whether this is the final
-    test, which decides whether the target is met.
+    test, which decides whether the target is met. `error` is the standard error of the mean return.
     """
 
     stage: str
@@ -186,6 +206,7 @@ class FreshTested(Event):
     target: float
     decisive: bool
     mean_return: float | None = None
+    error: float | None = None
 
 
 @dataclass(frozen=True)

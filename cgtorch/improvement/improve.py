@@ -69,7 +69,11 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
     first, accepted, best, idle, done = state, False, (0, 0), 0, False
     for _ in range(setup.attempts):
         before = state.current
-        candidate, state = proposed(setup, state)
+        try:
+            candidate, state = proposed(setup, state)
+        except BudgetSpentError:  # when the time is over
+            setup.purse.exhausted = True
+            break
         if done and candidate is before:
             break
         if done:  # the new one has to show some of it, too
@@ -82,6 +86,8 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         solved = int(state.keep[: len(first.keep)].sum()) if state.repeats else 0
         idle = 0 if solved > best[0] or state.in_a_row > best[1] else idle + 1
         best = max(best[0], solved), max(best[1], state.in_a_row)
+        if state.repeats != first.repeats:  # means are compared from now on
+            break
         if setup.purse.exhausted or (state.repeats and (done or idle == IDLE)):
             break
     if accepted and state.judged is not state.current:

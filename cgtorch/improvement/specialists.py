@@ -164,12 +164,13 @@ def evolve_candidate(
         asked = _of_all_ranks(now - before)
         found, began = found.after(generation, seconds, asked), began + seconds
         before = now
-        if setup.budget.ends(found):
+        if setup.budget.ends(found) or setup.purse.late():
             break
     assert found is not None  # noqa: S101  the loop body has run
     # Where the first island is not held, its random numbers have not been drawn.
     generator.set_state(ranks.broadcast(generator.get_state()))
-    journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
+    if not setup.purse.late():  # else it is not finished
+        journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
     return _counted(setup, found)
 
 

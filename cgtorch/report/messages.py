@@ -1,6 +1,7 @@
 """Texts on the screen: a line for each event, without colour, and the table of stages."""
 
 from collections.abc import Mapping, Sequence
+from math import floor, log10
 from typing import TYPE_CHECKING, Any, Literal
 
 from cgtorch.ground.asked import Purse
@@ -50,8 +51,13 @@ def message_of(event: events.Event) -> str:
             share = event.succeeded / event.tried
             return (
                 f"{event.stage}: under other noise the same skill solves {share:.0%} of the "
-                f"{event.tried} scenarios that it solved: this world is chance; a scenario that "
-                "was solved is no fact, and skills are compared by counts"
+                f"{event.tried} scenarios that it solved: this world is chance; from now on skills "
+                "are evolved in it on fresh scenarios, and means count (--chance no overrules it)"
+            )
+        case events.MeanTested():
+            return (
+                f"{event.stage}: mean {mean_text(event.mean, event.error)} on {event.tried:,} "
+                f"fresh episodes; {event.scenarios} in each generation, {event.episodes:,} played"
             )
         case events.Practised():
             return (
@@ -65,12 +71,22 @@ def message_of(event: events.Event) -> str:
             kind = "final test, " if event.decisive else ""
             if event.skill != event.stage and not event.decisive:
                 kind = f"no skill was accepted; {event.skill} was tested again, "
-            mean = "" if event.mean_return is None else f", mean return {event.mean_return:.5g}"
-            return (
-                f"{event.stage}: {kind}{event.succeeded} of {event.tried} fresh scenarios = "
-                f"{share:.1%}{mean}, the goal is {event.target:.4g}"
-            )
+            solved = f"{event.succeeded} of {event.tried} fresh scenarios = {share:.1%}"
+            if event.mean_return is not None:
+                mean = mean_text(event.mean_return, event.error)
+                solved = f"mean return {mean} on {event.tried} fresh episodes"
+            return f"{event.stage}: {kind}{solved}, the goal is {event.target:.4g}"
     return ""
+
+
+def mean_text(mean: float | None, error: float | None) -> str:
+    """A mean with two standard errors, such as "2.86 ± 0.02", up to their first digit."""
+    if mean is None:
+        return MISSING
+    if error is None:
+        return f"{mean:.5g}"
+    digits = min(6, max(0, -floor(log10(2 * error)))) if error > 0 else 4
+    return f"{mean:.{digits}f} ± {2 * error:.{digits}f}"
 
 
 def _asked(event: events.WorldAsked) -> str:
@@ -119,13 +135,12 @@ def _world_tested(event: events.WorldTested) -> str:
 
 def _skill_accepted(event: events.SkillAccepted[Any]) -> str:
     w, targets = event.succeeded[event.keep], event.targets
-    others = event.succeeded[~event.keep]
+    others, some = event.succeeded[~event.keep], len(event.succeeded) > 0
     nodes = f"{event.skill.num_nodes} node{'s' if event.skill.num_nodes != 1 else ''}"
     tests = f"tests {int(event.succeeded[targets].sum())}/{int(targets.sum())}"
     parts = [
         *([tests] if int(targets.sum()) < len(others) else []),  # in a round, M is the test
-        f"W {int(w.sum())}/{len(w)}",
-        f"M {int(others.sum())}/{len(others)}",
+        *([f"W {int(w.sum())}/{len(w)}", f"M {int(others.sum())}/{len(others)}"] if some else []),
         f"{nodes} in {event.skill.depth} level{'s' if event.skill.depth != 1 else ''}",
         as_time(event.seconds),
     ]
@@ -207,7 +222,7 @@ def _overall(results: Sequence[Result], domain: "Domain[Any]") -> str:
     if last.get("tried"):
         ours += f" = {100 * last['succeeded'] / last['tried']:.3g} %"
     if last.get("mean_return") is not None:
-        ours += f", mean return {last['mean_return']:.5g}"
+        ours += f", mean return {mean_text(last['mean_return'], last.get('error'))}"
     said = f"{_text(tested[-1], 'stage')} on {kind}: {ours}."
     pictures = domain.pictures
     theirs = pictures.published.get("") if kind == domain.kinds[0] else None

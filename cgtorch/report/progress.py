@@ -1,5 +1,6 @@
 """The live display of a run; plain lines without a terminal."""
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,6 +19,7 @@ from cgtorch.ground.errors import printable
 from cgtorch.improvement import events
 from cgtorch.report.messages import as_time, few_solved, message_of, place_of, stage_number
 
+SILENCE = 29.0  # s without a line after which one tells what goes on
 OFTEN = 25.0  # s at least between two lines on the same work where there is no terminal
 MEMORY = 0.9  # weight of the past in smoothed numbers
 ENOUGH = 30  # episodes, to say how many of them succeeded
@@ -106,6 +108,7 @@ class ProgressDisplay:
         self._quiet, self._live_mode = quiet, self.console.is_terminal and not quiet
         self._live: Live | None = None
         self._began = time.monotonic()
+        self._ended = threading.Event()
         self._estimate = Estimate()
         self._stage: events.StageStarted | None = None
         self._generation: events.GenerationDone | None = None
@@ -126,6 +129,9 @@ class ProgressDisplay:
                 transient=True,
             )  # fmt: skip
             self._live.start()
+        elif not self._quiet:
+            self._ended = threading.Event()
+            threading.Thread(target=self._signs_of_life, daemon=True).start()
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -133,6 +139,23 @@ class ProgressDisplay:
         if self._live is not None:
             self._live.stop()
             self._live = None
+        self._ended.set()
+
+    def _signs_of_life(self) -> None:
+        """Print a line wherever nothing has been printed for a while, until the end."""
+        while not self._ended.wait(1.0):
+            if time.monotonic() - self._told >= SILENCE:
+                self.say(self._present())
+
+    def _present(self) -> str:
+        """What is going on, in a line."""
+        parts = [self._stage.stage] if self._stage else []
+        parts += [message for message, _, _ in list(self._working)[-1:]]
+        if not self._working and self._generation is not None:
+            done = self._generation.generation.number + 1
+            parts.append(f"{self._generation.candidate}, generation {done}")
+        parts.append(f"{as_time(time.monotonic() - self._began)} elapsed")
+        return ", ".join(parts)
 
     def __call__(self, event: events.Event) -> None:
         """Show an event."""
@@ -160,6 +183,10 @@ class ProgressDisplay:
                     self._compare(event.asked.episodes, event.succeeded)
                 if message:
                     self._world = message
+                    self._plain(message)
+            case events.MeanTested():
+                self._world = message
+                if time.monotonic() - self._told >= OFTEN:
                     self._plain(message)
             case events.ChanceFound() | events.StageFailed():
                 self.say(message, style="yellow")

@@ -13,7 +13,7 @@ from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import ActionError, GraphError, RunError, SettingsError
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import ASIDE, DATA, load_dataset
-from cgtorch.runs.stored_run import StoredRun, read_about, read_run
+from cgtorch.runs.stored_run import SKILL, StoredRun, read_about, read_run
 
 EXPORTED = (".pt2", ".onnx", ".py")
 """The ends of names of exports that programs run."""
@@ -62,10 +62,10 @@ def chosen_skill(
             known = ", ".join(run.stages) or "another run; this one has no skill yet"
             raise RunError(f"no skill {name!r:.40} in run {str(path)!r}; give one of {known}")
         stage = path / name
-        skill = load_skill(stage / "skill.json", run.actions)
+        skill = load_skill(stage / SKILL, run.actions)
     else:
         run, skill = last_skill(path, actions, domain)
-        stage = path if (path / "skill.json").is_file() else path / run.stages[-1]
+        stage = path if (path / SKILL).is_file() else folder_of_last(run) or path
     return Chosen(skill, run.domain, kind or run.kind, run, stage)
 
 
@@ -77,6 +77,17 @@ def stored_domain(path: Path) -> str | None:
     return None
 
 
+def folder_of_last(run: StoredRun) -> Path | None:
+    """The folder of the last finished stage or round; None if there is no skill yet.
+
+    Before the first one, it is that of an interrupted one with its best skill so far.
+    """
+    if stages := run.stages:
+        return run.folder / stages[-1]
+    begun = sorted((run.folder / "journal").glob(f"*/{SKILL}"))
+    return begun[-1].parent if begun else None
+
+
 def last_skill(
     path: Path, trusted: Sequence[str] = (), domain: str | None = None
 ) -> tuple[StoredRun, Skill]:
@@ -86,15 +97,15 @@ def last_skill(
     """
     if (path / "run.json").is_file():
         run = read_run(path, trusted, domain)
-        if not run.stages:
+        if (last := folder_of_last(run)) is None:
             raise RunError(
-                f"run {str(path)!r} has no finished stage or round; finish "
-                f"one with cgtorch-train --resume {path}"
+                f"run {str(path)!r} has no finished stage or round, and no skill of an interrupted "
+                f"one; finish one with cgtorch-train --resume {path}"
             )
-        return run, load_skill(path / run.stages[-1] / "skill.json", run.actions)
-    if (path / "skill.json").is_file():
+        return run, load_skill(last / SKILL, run.actions)
+    if (path / SKILL).is_file():
         run = read_run(path.absolute().parent, trusted, domain)  # also of "."
-        return run, load_skill(path / "skill.json", run.actions)
+        return run, load_skill(path / SKILL, run.actions)
     raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
 
 

@@ -32,7 +32,9 @@ all keys), or a tuple of shapes of which one fits. `float` is any finite number,
 of `seconds`; `int` is a count."""
 
 _SHARE = {"succeeded": int, "tried": int}
-_SCORE = ({"scenarios": str, "mean_return": (float, None), **_SHARE}, None)
+_SCORE = (
+    {"scenarios": str, "mean_return": (float, None), "error": (float, None), **_SHARE}, None
+)  # fmt: skip
 _CANDIDATE = {
     "stage": str, "candidate": str,
     "solved_w": int, "size_w": int, "solved_m": int, "size_m": int,
@@ -66,6 +68,10 @@ COLUMNS: dict[str, dict[str, Shape]] = {
     "candidate": _CANDIDATE,
     "asked": {"stage": str, "phase": str, "succeeded": int, **dict.fromkeys(ASKED, int)},
     "practised": {"stage": str, "skill": str, "in_a_row": int, "wanted": int},
+    "mean": {
+        "stage": str, "skill": str, "new": bool, "mean": (float, None), "error": (float, None),
+        "tried": int, "scenarios": int, "episodes": int,
+    },
     "chance": {"stage": str, **_SHARE},
     "accepted": {
         "stage": str, "skill": str, "parent": (str, None), "members": [str], "nodes": int,
@@ -74,7 +80,7 @@ COLUMNS: dict[str, dict[str, Shape]] = {
     },
     "tested": {
         "stage": str, "skill": str, "target": float, "decisive": bool,
-        "mean_return": (float, None), **_SHARE,
+        "mean_return": (float, None), "error": (float, None), **_SHARE,
     },
     "result": {
         "stage": str, "scenarios": str, "skill": str, "targets": int, "targets_succeeded": int,
@@ -246,6 +252,7 @@ _NAMES: dict[type[events.Event], str] = {
     events.StageStarted: "stage",
     events.WorldTested: "candidate",
     events.Practised: "practised",
+    events.MeanTested: "mean",
     events.ChanceFound: "chance",
     events.FreshTested: "tested",
     events.StageFailed: "failed",

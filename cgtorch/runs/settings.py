@@ -1,5 +1,6 @@
 """The settings that every run has, which of them may change, and the goal of rounds."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -8,6 +9,7 @@ from cgtorch.domains.settings import DomainSettings, check_options, option
 from cgtorch.ground.errors import SettingsError
 
 METHODS = ("compose", "paper")
+CHANCE = ("auto", "yes", "no")
 MODELS = ("auto", "learned", "none")
 SCENARIOS = "The kind of scenarios, or auto for the domain's usual kind."
 
@@ -49,9 +51,18 @@ class RunSettings:
         choices=MODELS,
         when="Use none if the world is fast and its transitions are hard to learn.",
     )
+    chance: str = option(
+        "auto",
+        "Whether success is chance, so that skills are evolved on fresh scenarios in the world and "
+        "compared by means: auto (measured by replays under other noise), yes, or no.",
+        choices=CHANCE,
+        when="Use yes if you know that it is, to save the measurement.",
+        before="auto",
+    )
     population: int = option(
         400,
-        "Number of individuals in a population.",
+        "Number of individuals in a population. Where rewards are given or success is chance, the "
+        "default is 48.",
         least=2,
         when="Raise it if evolutions end without a solution; time grows in proportion.",
     )
@@ -174,6 +185,8 @@ def option_of(name: str) -> str:
 
 DECISIVE, SCREENING = 40, 10
 """Expected failures of a skill at the target, in the decisive test and in the screening test."""
+MOST_SHARE = 0.999
+"""The largest share of scenarios that can be asked for."""
 
 
 @dataclass(frozen=True)
@@ -182,16 +195,17 @@ class Goal:
 
     target: float = option(
         0.99,
-        "With --stage auto: the share of fresh scenarios to solve. In a domain with rewards: the "
-        "return from which an episode counts as solved, and the mean return to reach.",
-        least=0.5,
-        most=0.999,
+        "With --stage auto: the share of fresh scenarios to solve, above 0. In a domain with "
+        "rewards: the mean return to reach, by default the return from which an episode counts as "
+        "solved (target_return).",
+        least=-math.inf,
+        most=math.inf,
         when="Raise it for a surer skill; the tests become longer.",
     )
     minutes: float = option(
         10.0,
-        "With --stage auto: begin no round after this time, min. A round that has begun is "
-        "finished; --attempts and --generations bound it.",
+        "With --stage auto: end after this time, min. The best skill so far is kept, and --resume "
+        "continues it.",
         least=0,
         most=1e6,
         when="Raise it for hard tasks.",

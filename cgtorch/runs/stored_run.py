@@ -51,6 +51,7 @@ from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
 from cgtorch.runs.writer import WRITER
 
 FORMAT, VERSION = "cgtorch-run", 6
+SKILL = "skill.json"
 AUTO = "auto"
 """The stage name that asks for rounds, auto-1, auto-2, …, until a goal is reached."""
 
@@ -130,7 +131,7 @@ class StoredRun:
         return {**to_plain(self.settings), **to_plain(self.domain.settings)}
 
     def _finished(self, stage: str) -> bool:
-        return (self.folder / stage / "skill.json").is_file()
+        return (self.folder / stage / SKILL).is_file()
 
 
 def round_name(number: int) -> str:

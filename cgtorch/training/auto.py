@@ -15,11 +15,10 @@ from typing import Any
 import torch
 from torch import Generator
 
-from cgtorch.domains.domain import Domain, rewarded
-from cgtorch.evolution.fitness import WORTHLESS
+from cgtorch.domains.domain import Domain
 from cgtorch.evolution.search import derived_generator
-from cgtorch.graphs import Skill, merged
-from cgtorch.ground import distributed as ranks
+from cgtorch.graphs import Skill
+from cgtorch.ground.asked import Purse
 from cgtorch.ground.statistics import wilson
 from cgtorch.improvement.events import FreshTested, StageStarted, TrainingEnded
 from cgtorch.improvement.setup import Progress
@@ -45,7 +44,10 @@ DOUBT = 0.05
 """The probability of error of all two-sided intervals of one run together."""
 SLACK = 1.25  # times the target's failure rate, which the bound of the interval may show
 EPISODES, DECISIVE_EPISODES = 100, 200
-"""Number of episodes of the screening test and of the decisive test, in a domain with rewards."""
+"""The least number of episodes of the screening test and of the decisive test of a mean."""
+MOST_EPISODES, SHARE = 2**14, 10
+"""The largest, and the share of those of the search (one in so many) that they are otherwise."""
+TESTING = 5.0  # s after the end of the time in which tests may go on
 ENOUGH = 12  # missed scenarios to learn from; a specialist's group has as many
 
 
@@ -53,24 +55,21 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
     """Improve in rounds until the goal is reached or its limits are.
 
     A run with stages or rounds continues from its last one. `goal.minutes` limits this call,
-    `goal.rounds` the whole run; a round that has begun is finished. Returned are the results of all
-    stages and rounds.
+    `goal.rounds` the whole run; a round that the time ends has the best skill so far. Returned are
+    the results of all stages and rounds.
 
     Raises:
         NotImprovedError: A round ended, and there is still no skill.
         RunError: A file cannot be written or read.
     """
     run, began = training.run, time.monotonic()
+    training.purse.until = began + 60 * goal.minutes
     recall_spent(training)
     last = run.folder / run.stages[-1] if run.stages else None
     progress = load_progress(run, last) if last else initial_progress(training)
     results = run.results
     first, made = len(results) - len(run.rounds), len(run.rounds)
-    while (
-        not reached(goal, results[first:])
-        and made < goal.rounds
-        and ranks.broadcast(time.monotonic() - began < 60 * goal.minutes)
-    ):
+    while not reached(goal, results[first:]) and made < goal.rounds and not training.purse.late():
         made += 1
         decisions = len(_decisions(results[first:]))
         try:
@@ -114,27 +113,22 @@ def _round(
 ) -> Made:
     """Make one round and store it in the run, after `decisions` decisive tests."""
     run, name = training.run, round_name(number)
-    if rewarded(run.domain) and not len(progress.missed):  # as at the very beginning
-        progress = _with(progress, act(run, progress.skill, EPISODES, _tests_generator(run, name)))
     missed, names = progress.missed, tuple(map(round_name, range(1, number + 1)))
     sizes = len(progress.solved), len(missed)
     training.told(StageStarted(name, names, *sizes, training.attempts))
 
     def test(after: Progress[Any], tally: Tally) -> Made | None:
-        fittest, unsolved = tally.champion, tally.accepted is None and not len(after.solved)
-        if rewarded(run.domain) and unsolved and fittest is not None and tally.best >= WORTHLESS:
-            # Eq. 1 has nothing to say before anything is solved; the next round goes on from here.
-            graph, transitions = merged(fittest.graphs), run.settings.max_transitions
-            best = Skill(name, graph, run.actions, transitions)
-            after = replace(after, skill=best, specialists=fittest)
         skill = after.skill
         if skill is None:
             return None
         accepted, scores, met = tally.accepted, list[Score](), False
         if run.repeats:
             with training.working(f"testing {skill.name} on fresh scenarios"):
-                about = training, goal, name, decisions, after
-                after, scores, met = _tested(*about, _tests_generator(run, name))
+                about = training, goal, name, decisions
+                if training.by_mean(after):
+                    scores, met = _mean_tested(*about, skill, tally.episodes)
+                else:
+                    after, scores, met = _tested(*about, after, _tests_generator(run, name))
         tests = [counts(run.kind, score) for score in scores]
         won = 0 if accepted is None else int(accepted.succeeded[accepted.targets].sum())
         return after, {
@@ -148,12 +142,12 @@ def _round(
             "fresh": tests[0] if tests else None,
             "overall": tests[-1] if tests else None,
             "decisive": tests[1] if len(tests) > 1 else None,
-            "mean_holds": met if rewarded(run.domain) else None,
+            "mean_holds": met if training.by_mean(after) else None,
             "in_a_row": tally.in_a_row,
             "practice": training.practice(name),
         }
 
-    return make_stage(training, name, run.kind, progress, run.like(), test)
+    return make_stage(training, name, run.kind, progress, run.like(), test, target=goal.target)
 
 
 def _tests_generator(run: StoredRun, name: str) -> Generator:
@@ -174,43 +168,67 @@ def _tested(
     Returned are the progress, the scores of the tests, and whether the goal is reached. If the
     first test is good enough, a second one decides.
     """
-    domain, scores = training.run.domain, list[Score]()
+    scores, sizes, n = list[Score](), (goal.screening, goal.decisive), goal.decisive
     skill = name if progress.skill is None else progress.skill.name
-    if rewarded(domain):  # the target is a mean return
-        target, sizes = float(domain.target_return), (EPISODES, DECISIVE_EPISODES)
-        enough = EPISODES + 1, DECISIVE_EPISODES + 1
-    else:
-        target, sizes, n = goal.target, (goal.screening, goal.decisive), goal.decisive
-        enough = ENOUGH, next(m for m in range(n + 1) if not holds(goal, n - m, n, decisions + 1))
+    enough = ENOUGH, next(m for m in range(n + 1) if not holds(goal, n - m, n, decisions + 1))
     for most, failures in zip(sizes, enough, strict=True):
         score = act(training.run, progress.skill, most, generator, failures)
-        counted, mean, decisive = (score.successes, score.tried), score.mean_return, bool(scores)
-        training.told(FreshTested(name, skill, *counted, target, decisive, mean))
+        counted, decisive = (score.successes, score.tried), bool(scores)
+        training.told(FreshTested(name, skill, *counted, goal.target, decisive))
         progress = _with(progress, score)
         scores.append(score)
-        by_mean = mean is not None and mean >= target
-        if not (by_mean if rewarded(domain) else worth_deciding(goal, *counted)):
+        if not worth_deciding(goal, *counted):
             break
-    if rewarded(domain):
-        returns = score.returns
-        met = returns is not None and mean_holds(returns.tolist(), target, decisions + 1)
-    else:
-        met = holds(goal, *counted, decisions + 1)
-    return progress, scores, len(scores) == 2 and met
+    return progress, scores, len(scores) == 2 and holds(goal, *counted, decisions + 1)
+
+
+def _mean_tested(
+    training: Training, goal: Goal, name: str, decisions: int, skill: Skill, played: int
+) -> tuple[list[Score], bool]:
+    """Try a round's skill on fresh scenarios, where its mean counts.
+
+    Returned are the scores of the tests, and whether the goal is reached. The more episodes the
+    search has `played`, the more the tests have. If the first one is good enough, a second one
+    decides.
+    """
+    run, scores, met = training.run, list[Score](), False
+    generator = _tests_generator(run, name)
+    most = min(MOST_EPISODES, played // SHARE)
+    for least in (EPISODES, DECISIVE_EPISODES):
+        count = max(least, most)
+        score = act(run, skill, count, generator, count + 1, training.purse)
+        about = score.successes, score.tried, goal.target, bool(scores)
+        training.told(FreshTested(name, skill.name, *about, score.mean_return, score.error))
+        scores.append(score)
+        values = score.values.tolist()
+        if not (all(map(isfinite, values)) and fmean(values) >= goal.target):
+            break
+        met = len(scores) == 2 and mean_holds(values, goal.target, decisions + 1)
+    return scores, met
 
 
 def act(
-    run: StoredRun, skill: Skill | None, most: int, generator: Generator, enough: int = ENOUGH
+    run: StoredRun,
+    skill: Skill | None,
+    most: int,
+    generator: Generator,
+    enough: int = ENOUGH,
+    purse: Purse | None = None,
 ) -> Score:
     """Try a skill on up to `most` fresh scenarios, until `enough` are missed.
 
-    Without a skill, all are missed.
+    Without a skill, all are missed. `TESTING` seconds after the end of the purse's time, `EPISODES`
+    have to do.
     """
     domain: Domain[Any] = run.domain
     parts = list[Score]()
     while (tried := sum(p.tried for p in parts)) < most and (
         sum(p.tried - p.successes for p in parts) < enough
     ):
+        if purse is not None and purse.late(TESTING):
+            if tried >= EPISODES:
+                break
+            most = EPISODES
         fresh = domain.draw(run.kind, min(BATCH, most - tried), generator)
         if skill is None:
             seen = first_percepts(domain.world(fresh))

@@ -26,9 +26,10 @@ from cgtorch.ground.asked import Purse
 from cgtorch.ground.environment import Environment, Hurried
 from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.events import Event, Watch
-from cgtorch.improvement.setup import Budget, Setup
+from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.runs.journal import SECONDS
 from cgtorch.runs.log import LogWatch
+from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.stored_run import StoredRun
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[None]]
@@ -50,6 +51,9 @@ NEW, SMALL, ROUNDS = 2, (3, 8), 3
 """Where low-level steps are counted: one individual in so many is new in each generation, the
 fewest and most nodes of first graphs, and rounds of tournaments, since lexicase selection on one
 scenario would leave one parent."""
+USUAL = RunSettings.population
+"""The default population, in place of which `REWARDS` has its own where means count."""
+WITH_TEST = 3, 6  # fewest and most nodes of first graphs of which one ends the skill
 SETTLED = 20  # generations without a better fitness after which the search for a solved group ends
 
 
@@ -95,6 +99,15 @@ class Training:
         """Whether fresh episodes are tried by rounds themselves, as with rewards."""
         return rewarded(self.run.domain) and name not in self.run.domain.stages
 
+    def by_mean(self, progress: Progress[Any]) -> bool:
+        """Whether skills are judged by means on fresh scenarios, so that there is no W.
+
+        They are where rewards are given or success is chance, in a world that can be simulated.
+        """
+        chance = progress.chance or self.run.settings.chance == "yes"
+        compose = self.run.settings.method == "compose"
+        return compose and self.run.repeats and (chance or rewarded(self.run.domain))
+
     def setup(self, name: str, journal: Journal | None = None) -> Setup[Any]:
         """The run's settings in the form that improvement needs for a stage or round."""
         run, s = self.run, self.run.settings
@@ -126,7 +139,7 @@ class Training:
             practice=self.practice(name),
             looks=self._looks(name),
             repeats=run.repeats,
-            noisy=noisy(domain),
+            noisy=noisy(domain) and s.chance == "auto",
             live=isinstance(domain, OnRobot),
             remembers=counting(domain) and run.repeats and not (run.learns or noisy(domain)),
             searches=self._searches(),
@@ -189,6 +202,24 @@ def evolution_settings(run: StoredRun) -> EvolutionSettings:
         first_graphs=REWARDS.first_graphs,
         lineages=s.lineages,
     )
+
+
+def for_means(run: StoredRun, setup: Setup[Any], target: float) -> Setup[Any]:
+    """The setup for `cgtorch.improvement.expected`, until the mean reaches a target."""
+    s, domain = run.settings, run.domain
+    ends = episodic(domain)  # else a skill has to test whether it has succeeded
+    usual = defaults_of(type(domain.settings))["population"] == s.population == USUAL
+    evolution = replace(
+        REWARDS,
+        population=REWARDS.population if usual else s.population,
+        selection=tournament(s.tournament),
+        fitness=episode_return if rewarded(domain) else chance_of_success,
+        initial_nodes=REWARDS.initial_nodes if ends else WITH_TEST,
+        islands=s.islands,
+        migration=s.migration,
+        lineages=0 if s.islands > 1 else s.lineages,
+    )
+    return replace(setup, evolution=evolution, budget=replace(setup.budget, satisfied=target))
 
 
 def _fitness(method: str, returns: bool) -> Fitness:

@@ -53,6 +53,18 @@ class Score:
         return int(self.succeeded.sum())
 
     @property
+    def values(self) -> Tensor:
+        """(B,) what counts in the mean: the returns, or successes as 0 and 1."""
+        return self.succeeded.float() if self.returns is None else self.returns
+
+    @property
+    def error(self) -> float | None:
+        """The standard error of the mean return; None where there is none."""
+        if self.mean_return is None or self.returns is None or self.tried < 2:
+            return None
+        return float(self.returns.double().std()) / self.tried**0.5
+
+    @property
     def mean_return(self) -> float | None:
         """The mean return; None without rewards, or if an episode did not finish."""
         if self.returns is None or not len(self.returns) or not self.returns.isfinite().all():
@@ -73,9 +85,12 @@ def joined(scores: list[Score]) -> Score:
 
 
 def try_on(skill: Skill, domain: Domain[Any], scenarios: Any) -> Score:
-    """The score of a skill on scenarios."""
+    """The score of a skill on scenarios; with rewards, those with the target return are solved."""
     trial = try_skill(skill, domain.world(scenarios))
-    return Score(scenarios, trial.percepts, trial.succeeded, trial.returns)
+    returns, solved = trial.returns, trial.succeeded
+    if returns is not None:
+        solved = returns >= domain.target_return
+    return Score(scenarios, trial.percepts, solved, returns)
 
 
 def evaluate_skill(

@@ -21,10 +21,11 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import write_bytes
 from cgtorch.report import ProgressDisplay
+from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings, defaults_of
 from cgtorch.runs.storage import stage_knowledge
-from cgtorch.runs.stored_run import StoredRun, read_run
+from cgtorch.runs.stored_run import SKILL, StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
 from cgtorch.training.failures import Failure, failures_of
 from cgtorch.training.session import (
@@ -53,15 +54,15 @@ class Run(StoredRun):
 
     @property
     def skill(self) -> Skill:
-        """The last accepted skill; RunError if there is none yet."""
-        if not self.stages:
+        """The last skill, or the best of an interrupted stage; RunError if there is none yet."""
+        if (last := folder_of_last(self)) is None:
             raise RunError(f"run {str(self.folder)!r} has no skill yet; resume it")
-        return self.skills[self.stages[-1]]
+        return load_skill(last / SKILL, self.actions)
 
     @property
     def skills(self) -> dict[str, Skill]:
         """The skill of each finished stage or round, by its name, in order."""
-        files = {name: self.folder / name / "skill.json" for name in self.stages}
+        files = {name: self.folder / name / SKILL for name in self.stages}
         return {name: load_skill(path, self.actions) for name, path in files.items()}
 
     @property

@@ -9,7 +9,7 @@ from typing import Any, Self, TypeAlias
 import torch
 
 from cgtorch import native
-from cgtorch.domains.domain import Domain
+from cgtorch.domains.domain import Domain, rewarded
 from cgtorch.domains.settings import LAST, DomainSettings, known_options, to_plain
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NAMES as ASKED
@@ -26,7 +26,7 @@ from cgtorch.runs.journal import (
     remember_goal,
     take_over,
 )
-from cgtorch.runs.settings import Goal, RunSettings
+from cgtorch.runs.settings import MOST_SHARE, Goal, RunSettings
 from cgtorch.runs.stored_run import (
     AUTO,
     StoredRun,
@@ -138,6 +138,7 @@ def begun(
             # On every rank, as they share what the world has to compute.
             run = planned_run(folder, settings, domain_settings, anew=not new, domain=domain)
             _stage(run, request, {})
+            _goal(run, request.goal)
             if settings.data:
                 given_data(run)  # bad files are refused before anything is written
             ranks.wait()  # all have seen the folder before anyone writes
@@ -238,14 +239,27 @@ def _one_thread_each() -> Iterator[None]:
 def _asked(run: StoredRun, request: TrainingRequest) -> tuple[str, Goal]:
     """The stage and goal that are asked for; by default those for which the run was begun."""
     before = goes_on_to(run)
-    stage, goal = _stage(run, request, before), Goal(**request.goal)
+    stage, goal = _stage(run, request, before), _goal(run, request.goal)
     if request.stage is None and isinstance(before.get("goal"), dict):
         try:
-            goal = Goal(**{**before["goal"], **request.goal})
+            goal = _goal(run, {**before["goal"], **request.goal})
         except TypeError as e:
             raise SettingsError(f"the goal of run {str(run.folder)!r} is damaged ({e})") from e
     remember_goal(run, {"stage": stage, **({"goal": asdict(goal)} if stage == AUTO else {})})
     return stage, goal
+
+
+def _goal(run: StoredRun, given: Mapping[str, Any]) -> Goal:
+    """The goal of rounds; SettingsError for a target that is no share, unless there are rewards."""
+    if rewarded(run.domain):
+        return Goal(**{"target": run.domain.target_return, **given})
+    goal = Goal(**given)
+    if not 0 < goal.target <= MOST_SHARE:
+        raise SettingsError(
+            f"target is {goal.target:g}, which is no share of scenarios to solve; give a number "
+            f"above 0, up to {MOST_SHARE}"
+        )
+    return goal
 
 
 def _stage(run: StoredRun, request: TrainingRequest, before: Mapping[str, Any]) -> str:

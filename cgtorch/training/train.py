@@ -2,7 +2,8 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any, TypeAlias
@@ -12,15 +13,16 @@ from torch import Generator
 
 from cgtorch.domains.domain import Domain
 from cgtorch.evolution import Generation, Population
-from cgtorch.graphs import Skill
+from cgtorch.graphs import Skill, merged, save_skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError, RunError, SettingsError
-from cgtorch.ground.files import whole_folder
+from cgtorch.ground.files import whole_folder, writing
 from cgtorch.improvement.checkpoint import Found
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
     GenerationDone,
+    MeanTested,
     Practised,
     SkillAccepted,
     StageFailed,
@@ -28,14 +30,16 @@ from cgtorch.improvement.events import (
     StageStarted,
     TrainingEnded,
 )
+from cgtorch.improvement.expected import improve_expected
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress
 from cgtorch.runs.journal import FOLDER, forget, journal_of
 from cgtorch.runs.log import history_of
 from cgtorch.runs.storage import load_progress, save_progress
-from cgtorch.runs.stored_run import AUTO, StoredRun
-from cgtorch.training.context import Training
+from cgtorch.runs.stored_run import AUTO, SKILL, StoredRun
+from cgtorch.training.context import Training, for_means
+from cgtorch.training.deadline import deadline
 from cgtorch.training.evaluate import Score, evaluate_skill
 from cgtorch.training.start import initial_progress, recall_spent, spent_of
 
@@ -62,7 +66,9 @@ class Tally:
     accepted: SkillAccepted[Any] | None = None
     champion: Population | None = None
     best: float = -inf  # its fitness
+    skill: Skill | None = None  # the last one that was tried
     in_a_row: int = 0  # fresh scenarios that the last skill solved
+    episodes: int = 0  # that a search for the best mean has played
 
     def count(self, event: Event) -> None:
         """Update by an event."""
@@ -73,7 +79,9 @@ class Tally:
         elif isinstance(event, SkillAccepted):
             self.accepted = event
         elif isinstance(event, Practised):
-            self.in_a_row = event.in_a_row
+            self.in_a_row, self.skill = event.in_a_row, event.skill
+        elif isinstance(event, MeanTested):
+            self.episodes, self.skill = event.episodes, event.skill
 
     def _add(self, generations: int, found: Generation | Found, seconds: float) -> None:
         self.generations += generations
@@ -217,11 +225,13 @@ def make_stage(
     tests: Any,
     test: Callable[[Progress[Any], Tally], Made | None],
     failures: int = 0,
+    target: float = inf,
 ) -> Made:
     """Make one stage or round and store it in the run; NotImprovedError if there is no skill.
 
-    `test` tries the skill on fresh scenarios. It maps the progress and its cost to the final
-    progress and the result, or to None if there is no skill.
+    Where skills are judged by means, it ends once these reach the target. `test` tries the skill
+    on fresh scenarios. It maps the progress and its cost to the final progress and the result, or
+    to None if there is no skill.
     """
     run, tally = training.run, Tally()
     generator = stage_generator(run.domain, run.settings.seed, name, failures)
@@ -237,9 +247,13 @@ def make_stage(
     with journal_of(run.folder, again, training.told, training.checkpoint_seconds) as journal:
         setup = training.setup(name, journal)
         setup = replace(setup, name=name, generator=generator, watch=listen)
-        began, method = time.perf_counter(), METHODS[run.settings.method]
-        after = method(setup, before, tests, draw)
-        tally.seconds = time.perf_counter() - began
+        began, after = time.perf_counter(), before
+        with _best_at_hand(training, again, tally), deadline(training.purse):
+            if not training.by_mean(before):
+                after = METHODS[run.settings.method](setup, before, tests, draw)
+            if training.by_mean(after) and not training.purse.exhausted:
+                after = improve_expected(for_means(run, setup, target), after, tests, draw)
+            tally.seconds = time.perf_counter() - began
         made = test(after, tally)
         if made is not None:
             _keep(training, name, tally.accepted, made)
@@ -248,6 +262,23 @@ def make_stage(
         f"stage {name} found no skill that keeps W and solves more within "
         f"{training.attempts} attempts; raise attempts, generations or population"
     )
+
+
+@contextmanager
+def _best_at_hand(training: Training, name: str, tally: Tally) -> Iterator[None]:
+    """A context that an interruption leaves with the best skill so far beside the journal."""
+    try:
+        yield
+    except BaseException:
+        run, skill, fittest = training.run, tally.skill, tally.champion
+        if skill is None and fittest is not None:
+            skill = Skill(name, merged(fittest.graphs), run.actions, run.settings.max_transitions)
+        if skill is not None and ranks.first():
+            folder = run.folder / FOLDER / name
+            with writing(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+            save_skill(folder / SKILL, skill)
+        raise
 
 
 def _keep(
@@ -272,7 +303,9 @@ def finished_generations(run: StoredRun) -> int:
 def counts(kind: str, score: Score) -> dict[str, Any]:
     """A score as in the result of a stage."""
     about = {"scenarios": kind, "tried": score.tried, "succeeded": score.successes}
-    return about if score.returns is None else {**about, "mean_return": score.mean_return}
+    if score.returns is None:
+        return about
+    return {**about, "mean_return": score.mean_return, "error": score.error}
 
 
 _SEED_STRIDE = 1_000_003

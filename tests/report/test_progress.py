@@ -1,5 +1,6 @@
 import io
 import re
+import time
 from contextlib import suppress
 from dataclasses import replace
 
@@ -17,6 +18,7 @@ from cgtorch.improvement.events import (
     Event,
     FreshTested,
     GenerationDone,
+    MeanTested,
     ModelsFitted,
     ModelSummary,
     Practised,
@@ -317,8 +319,20 @@ def practised(in_a_row: int) -> Practised:
         (
             CHANCE,
             "S1: under other noise the same skill solves 40% of the 30 scenarios that it solved: "
-            "this world is chance; a scenario that was solved is no fact, and skills are compared "
-            "by counts",
+            "this world is chance; from now on skills are evolved in it on fresh scenarios, and "
+            "means count (--chance no overrules it)",
+        ),
+        (
+            MeanTested("S1", nearly(0.5), True, 2.8567, 0.0104, 4096, 12, 123456),
+            "S1: mean 2.86 ± 0.02 on 4,096 fresh episodes; 12 in each generation, 123,456 played",
+        ),
+        (
+            MeanTested("S1", nearly(0.5), True, None, None, 0, 4, 192),
+            "S1: mean – on 0 fresh episodes; 4 in each generation, 192 played",
+        ),
+        (
+            FreshTested("auto-2", "auto-2", 5, 16384, 3.0, True, 2.8567, 0.0104),
+            "auto-2: final test, mean return 2.86 ± 0.02 on 16384 fresh episodes, the goal is 3",
         ),
     ],
 )
@@ -397,3 +411,14 @@ def test_work_is_heard_of_where_there_is_no_terminal(
         "grasps: 72 of 100, 0.667/s, left 0:42",
         "grasps: 90 of 100, 0.667/s, left 0:15",
     ]
+
+
+def test_without_a_terminal_there_is_a_line_wherever_nothing_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("cgtorch.report.progress.SILENCE", 0.5)
+    with ProgressDisplay(console(False)) as display:
+        display(StageStarted("S1", ("S0", "S1"), 0, 3, 24))
+        with display.working("fitting"):
+            time.sleep(2.5)
+    assert "S1, fitting, 0:0" in text_of(display)

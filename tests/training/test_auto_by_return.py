@@ -1,125 +1,161 @@
-"""The autonomous loop where a domain gives rewards, before and after something is solved."""
+"""The autonomous loop where the mean counts: with rewards, and where success is chance."""
 
+import time
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
+from lottery import PaidTombola, Tombola
 from support import create_run, same
 
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.ground.asked import Asked
+from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.events import (
+    ChanceFound,
     Event,
     EvolutionRecalled,
+    FreshTested,
     GenerationDone,
-    Practised,
-    SkillAccepted,
-    WorldAsked,
-    WorldTested,
+    MeanTested,
 )
 from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.storage import load_progress
-from cgtorch.runs.stored_run import StoredRun, read_run
-from cgtorch.training.auto import train_until
+from cgtorch.runs.stored_run import StoredRun, planned_run, read_run, write_run
+from cgtorch.training.auto import DECISIVE_EPISODES, EPISODES, train_until
 from cgtorch.training.context import Training
 
 pytest.importorskip("gymnasium")
 
-OUT_OF_REACH, EASY = 1e6, 9.0
-ROUND = Goal(rounds=1)
 
-
-def begun(folder: Path, target: float = OUT_OF_REACH) -> StoredRun:
+def begun(folder: Path, attempts: int = 3) -> StoredRun:
     settings = RunSettings(
         domain="gymnasium:CartPole-v1",
         population=12,
         generations=3,
-        attempts=2,
+        attempts=attempts,
         max_transitions=2000,
     )
-    return create_run(folder, settings, GymnasiumSettings("CartPole-v1", target))
+    return create_run(folder, settings, GymnasiumSettings("CartPole-v1"))
 
 
 def quietly(message: str) -> nullcontext[None]:
     return nullcontext()
 
 
-def test_the_fittest_individual_is_the_skill_until_one_meets_eq_1(tmp_path: Path) -> None:
-    run = begun(tmp_path / "run")
-    events: list[Event] = []
-    results = train_until(Training(run, events.append, quietly), Goal(rounds=2))
+def of(events: list[Event], kind: type[Event]) -> list[Any]:
+    return [event for event in events if isinstance(event, kind)]
+
+
+def test_rounds_go_on_from_the_best_skill_and_test_its_mean(tmp_path: Path) -> None:
+    run, events = begun(tmp_path / "run"), list[Event]()
+    results = train_until(Training(run, events.append, quietly), Goal(target=1e6, rounds=2))
     assert run.rounds == ("auto-1", "auto-2")
-    means = [result["fresh"]["mean_return"] for result in results]
-    assert all(1 < mean <= 500 for mean in means)
-    assert [result["targets_succeeded"] for result in results] == [0, 0]
-    assert [result["skill"] for result in results] == ["auto-1", "auto-2"]
+    assert [result["generations"] for result in results] == [9, 9]
+    assert [(r["w_size"], r["targets"], r["mean_holds"]) for r in results] == [(0, 0, False)] * 2
+    for result, test in zip(results, of(events, FreshTested), strict=True):
+        fresh = result["fresh"]
+        assert fresh["tried"] == EPISODES
+        assert 1 < fresh["mean_return"] <= 500
+        assert 0 <= fresh["error"] < fresh["mean_return"]
+        assert (test.mean_return, test.error) == (fresh["mean_return"], fresh["error"])
+        assert (test.target, test.decisive) == (1e6, False)
     progress = load_progress(run, run.folder / "auto-2")
     assert progress.specialists is not None
     assert not len(progress.solved)
+    assert not len(progress.missed)
 
 
-Made = tuple[StoredRun, list[Event], list[dict[str, Any]]]
+def test_a_round_ends_and_the_goal_is_reached_once_a_second_test_holds(tmp_path: Path) -> None:
+    run, events = begun(tmp_path / "run", attempts=300), list[Event]()
+    results = train_until(Training(run, events.append, quietly), Goal(target=40.0, rounds=9))
+    first, second = of(events, FreshTested)[-2:]
+    assert (first.decisive, second.decisive) == (False, True)
+    assert second.tried >= DECISIVE_EPISODES
+    assert results[-1]["mean_holds"]
+    assert results[-1]["decisive"]["mean_return"] - results[-1]["decisive"]["error"] >= 40
+    assert len(of(events, GenerationDone)) < 300
 
 
-@pytest.fixture(scope="module", params=[OUT_OF_REACH, EASY], ids=["out of reach", "easy"])
-def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Made:
-    """A round that nothing interrupts, for a target that it cannot reach and for one it can."""
-    run, events = begun(tmp_path_factory.mktemp("whole") / "run", request.param), list[Event]()
-    return run, events, train_until(Training(run, events.append, quietly), ROUND)
-
-
-@pytest.mark.parametrize(("kind", "number"), [(GenerationDone, 3), (WorldTested, 1)])
-def test_it_is_the_same_after_an_interruption(
-    whole: Made, tmp_path: Path, kind: type[Event], number: int
-) -> None:
-    """What the journal has is neither evolved nor asked of the world again."""
-    run, events, results = whole
-    stopped = begun(tmp_path / "stopped", run.domain.target_return)
+@pytest.mark.parametrize("number", [2, 7])
+def test_it_is_the_same_after_an_interruption(tmp_path: Path, number: int) -> None:
+    """What the journal has is not evolved again."""
+    goal = Goal(target=1e6, rounds=1)
+    run, stopped = begun(tmp_path / "whole"), begun(tmp_path / "stopped")
+    results = train_until(Training(run, lambda _: None, quietly), goal)
     met, again = 0, list[Event]()
 
     def stop(event: Event) -> None:
         nonlocal met
-        met += isinstance(event, kind)
+        met += isinstance(event, GenerationDone)
         if met == number:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_until(Training(stopped, stop, quietly, checkpoint_seconds=0), ROUND)
-    found = train_until(Training(read_run(stopped.folder), again.append, quietly), ROUND)
-    known = [e.found.generations for e in again if isinstance(e, EvolutionRecalled)]
-    before = next(i for i, e in enumerate(events) if isinstance(e, WorldTested))
-    assert known == ([2] if kind is GenerationDone else [3] * len(evolved_on(events[:before])))
+        train_until(Training(stopped, stop, quietly, checkpoint_seconds=0), goal)
+    assert not stopped.stages
+    if number > 2:  # the best so far can be evaluated and exported
+        assert last_skill(stopped.folder)[1].name == "auto-1"
+    found = train_until(Training(read_run(stopped.folder), again.append, quietly), goal)
+    assert [e.found.generations for e in of(again, EvolutionRecalled)] == [number - 1]
     timed = {"seconds": 0, "search_seconds": 0}
     assert [r | timed for r in found] == [r | timed for r in results]
     assert same(*(last_skill(each.folder)[1].graph for each in (run, stopped)))
 
 
-def evolved_on(events: list[Event]) -> dict[str, int]:
-    """Scenarios of each evolution."""
-    done = [event for event in events if isinstance(event, GenerationDone)]
-    return {event.candidate: len(event.generation.succeeded) for event in done}
+def made(folder: Path, domain: Tombola, **settings: Any) -> StoredRun:
+    small = {"population": 24, "generations": 20, "attempts": 4, "max_transitions": 4, **settings}
+    run = planned_run(
+        folder, RunSettings(domain=f"lottery:{type(domain).__name__}", **small), domain=domain
+    )
+    write_run(run)
+    return run
 
 
-def test_evolutions_have_a_few_starts_and_more_where_these_are_good_enough(whole: Made) -> None:
-    """Whether what they find reaches the target is told by trying it on all that was missed."""
-    run, events, _ = whole
-    easy = run.domain.target_return == EASY
-    assert set(evolved_on(events).values()) == ({8, 16, 32} if easy else {8})
-    tried = next(event for event in events if isinstance(event, WorldTested))
-    assert (tried.size_m, tried.size_w) == (100, 0)
-    accepted = any(isinstance(event, SkillAccepted) for event in events)
-    assert accepted == (run.domain.target_return == EASY)
+def test_chance_is_measured_and_then_means_count(tmp_path: Path) -> None:
+    """The first round still believes in W, which keeps what luck has solved."""
+    run, events = made(tmp_path / "run", Tombola()), list[Event]()
+    results = train_until(Training(run, events.append, quietly), Goal(target=0.95, rounds=3))
+    (found,) = of(events, ChanceFound)
+    assert found.tried >= 30
+    assert found.succeeded < 0.8 * found.tried
+    after = events[events.index(found) :]
+    assert len(of(after, MeanTested)) > 3
+    assert [result["mean_holds"] for result in results][-2:] == [False, False]
+    last = results[-1]["fresh"]
+    assert last["succeeded"] / last["tried"] > 0.5  # where one that stakes nothing wins 0.35
+    assert last["tried"] > EPISODES  # as a search has played many more
+    assert load_progress(run, run.folder / run.rounds[-1]).chance
 
 
-def test_nothing_is_practised_as_rounds_try_skills_on_fresh_episodes(whole: Made) -> None:
-    """Neither those episodes nor the search, both in a simulated world, count as asked."""
-    _, events, results = whole
-    assert {(e.in_a_row, e.wanted) for e in events if isinstance(e, Practised)} == {(0, 0)}
-    for result in results:
-        assert (result["in_a_row"], result["practice"]) == (0, 0)
-        assert set(result["asked"]) == {"looks", "trials"}
-        assert not any(result["asked"]["looks"].values())
-    told = [e.asked for e in events if isinstance(e, WorldAsked) and e.phase == "trials"]
-    assert results[-1]["asked"]["trials"] == vars(sum(told, Asked()))
+@pytest.mark.parametrize("chance", ["yes", "no"])
+def test_the_user_may_overrule_it(tmp_path: Path, chance: str) -> None:
+    run, events = made(tmp_path / "run", Tombola(), chance=chance), list[Event]()
+    train_until(Training(run, events.append, quietly), Goal(target=0.95, rounds=2))
+    assert not of(events, ChanceFound)
+    assert bool(of(events, MeanTested)) == (chance == "yes")
+
+
+def test_with_rewards_it_is_the_target_return_that_counts_as_solved(tmp_path: Path) -> None:
+    """Though nothing in this world ever tells of success."""
+    run, events = made(tmp_path / "run", PaidTombola()), list[Event]()
+    results = train_until(Training(run, events.append, quietly), Goal(target=9.0, rounds=1))
+    fresh = results[0]["fresh"]
+    assert fresh["mean_return"] == pytest.approx(2 * fresh["succeeded"] / fresh["tried"])
+    assert fresh["succeeded"] > 0.7 * fresh["tried"]
+
+
+def test_the_time_ends_a_round_within_seconds_and_keeps_its_best(tmp_path: Path) -> None:
+    run = made(tmp_path / "run", PaidTombola(), generations=10_000)
+    began = time.monotonic()
+    results = train_until(Training(run, lambda _: None, quietly), Goal(target=9.0, minutes=0.05))
+    assert 3 <= time.monotonic() - began < 13
+    assert run.rounds == ("auto-1",)
+    assert results[0]["generations"] < 10_000
+    assert last_skill(run.folder, domain=run.domain)[1].num_nodes > 0
+
+
+def test_models_with_rewards_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="gives rewards"):
+        made(tmp_path / "run", PaidTombola(), models="learned")

@@ -15,7 +15,8 @@ from driven_cart import CartDriver
 
 import cgtorch
 from cgtorch.commands.train import command
-from cgtorch.ground.errors import CgtorchError, DomainError, RunError, SettingsError
+from cgtorch.graphs import merged
+from cgtorch.ground.errors import CgtorchError, DomainError, SettingsError
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 
 SMALL: dict[str, Any] = {"population": 40, "generations": 10, "practice": 10}
@@ -114,8 +115,8 @@ def test_a_watch_sees_champions_and_may_stop_a_run_which_resumes(
     assert not run.stages
     generations = [each.generation for each in told if isinstance(each, GenerationDone)]
     assert [len(each.champion) for each in generations] == [1] * 4
-    with pytest.raises(RunError, match="has no skill yet"):
-        _ = run.skill
+    fittest = max(generations, key=lambda each: each.best)
+    assert run.skill.num_nodes == int(merged(fittest.champion.graphs).num_nodes)
     run = run.resume(quiet=True, watch=lambda event: told.append(event) or "only True stops")
     assert any(isinstance(event, SkillAccepted) for event in told)
     assert torch.equal(run.skill.graph.parameters, whole.skill.graph.parameters)
@@ -136,7 +137,9 @@ def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:
         ({"populaton": 3}, SettingsError, "unknown setting 'populaton'; did you mean 'population'"),
         ({"position_nose": 3}, SettingsError, "did you mean 'position_noise'"),
         ({"population": "many"}, SettingsError, "population is 'many'; give a whole number"),
-        ({"target": 2.0}, SettingsError, "target is 2.0; give a number from 0.5"),
+        ({"target": 2.0}, SettingsError, "target is 2, which is no share"),
+        ({"target": 0.0}, SettingsError, "target is 0, which is no share"),
+        ({"target": 1.0}, SettingsError, "give a number above 0, up to 0.999"),
         ({"budget": {"grasps": 3}}, SettingsError, "budget grasps=3 is no limit"),
         ({"device": "abacus"}, SettingsError, "device 'abacus' cannot be used"),
         ({"stage": "S9"}, SettingsError, "unknown stage 'S9'"),

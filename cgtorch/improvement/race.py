@@ -1,0 +1,125 @@
+"""What a skill is worth in the mean, and paired races of two skills on fresh scenarios.
+
+The best of many individuals on given scenarios is the luckiest. So the skill that holds the place
+of the best falls only to one that is better on scenarios that neither was chosen on. Both meet the
+same, so that what differs is not the scenarios' own difficulty.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import inf, sqrt
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.graphs import ActionSet, Graphs, Skill
+from cgtorch.ground.environment import Environment
+from cgtorch.simulation import rollout
+
+FIRST, FEWEST = 8, 64  # pairs of the first look, and of the first that can decide for a challenger
+SURE, AT_LAST = 3.0, 1.64  # standard errors by which it has to be better, and after the last pair
+MANY = 512  # pairs from which that is enough after the last
+HOPELESS = 1.0  # standard errors below the holder at which it gives up
+MOST_AT_ONCE = 2**13  # scenarios of one rollout
+
+
+@dataclass(frozen=True)
+class Holder:
+    """A skill that has not been beaten, and its values on scenarios that it was not chosen on.
+
+    Attributes:
+        skill: The skill.
+        total: The sum of the values.
+        squares: The sum of their squares.
+        count: Their number.
+    """
+
+    skill: Skill
+    total: float = 0.0
+    squares: float = 0.0
+    count: int = 0
+
+    def met(self, values: Tensor) -> "Holder":
+        """The holder with further values (n,)."""
+        values = values.double()
+        total, squares = self.total + float(values.sum()), float(values.square().sum())
+        return replace(
+            self, total=total, squares=self.squares + squares, count=self.count + len(values)
+        )
+
+    @property
+    def mean(self) -> float:
+        """The mean of the values, -inf before the first."""
+        return self.total / self.count if self.count else -inf
+
+    @property
+    def error(self) -> float:
+        """The standard error of the mean, inf before the second value."""
+        if self.count < 2 or not abs(self.total) < inf:
+            return inf
+        return sqrt(max(0.0, self.squares / self.count - self.mean**2) / (self.count - 1))
+
+
+@dataclass
+class Fresh:
+    """Fresh scenarios to play, and the count of what was played.
+
+    Attributes:
+        world: Makes the world of so many scenarios, drawn from a generator.
+        max_transitions: Of every skill.
+        episodes: Episodes that were played.
+        executed: Actions that were executed in them.
+    """
+
+    world: Callable[[int, Generator], Environment]
+    max_transitions: int
+    episodes: int = 0
+    executed: int = 0
+
+    def values(self, graphs: Graphs, actions: ActionSet, world: Environment) -> Tensor:
+        """(P, B) what counts of P graphs: the returns, or whether they succeed."""
+        runs = rollout(graphs, actions, world, max_transitions=self.max_transitions)
+        self.episodes += runs.succeeded.numel()
+        self.executed += runs.executed
+        return runs.succeeded.float() if runs.returns is None else runs.returns
+
+    def of_skills(self, skills: Sequence[Skill], count: int, generator: Generator) -> Tensor:
+        """(K, count) the values of K skills on the same fresh scenarios."""
+        parts = []
+        for begin in range(0, count, MOST_AT_ONCE):
+            world = self.world(min(MOST_AT_ONCE, count - begin), generator)
+            rows = [self.values(each.graph, each.actions, world) for each in skills]
+            parts.append(torch.cat(rows))
+        return torch.cat(parts, 1)
+
+
+def race(
+    fresh: Fresh, holder: Holder, challenger: Skill, longest: int, generator: Generator
+) -> Holder:
+    """The better of two skills on up to `longest` fresh scenarios, which both meet.
+
+    Their number doubles until the challenger is surely better, or hopeless. The holder stays where
+    that remains open. Its values do not count for its mean, as it stays more often where it was
+    lucky.
+    """
+    own, others, size = torch.zeros(0), torch.zeros(0), FIRST
+    longest = max(longest, FEWEST)
+    while True:
+        old, new = fresh.of_skills([holder.skill, challenger], size, generator)
+        own, others = torch.cat([own, old]), torch.cat([others, new])
+        if not others.isfinite().all():
+            return holder
+        if not own.isfinite().all():
+            return Holder(challenger)
+        gain = (others - own).double()
+        mean, error, last = float(gain.mean()), _error(gain), len(gain) >= longest
+        enough = AT_LAST if last and len(gain) >= MANY else SURE
+        if len(gain) >= FEWEST and mean > enough * error:
+            return Holder(challenger)
+        if last or (len(gain) > FIRST and mean < -HOPELESS * error):
+            return holder
+        size = min(len(gain), longest - len(gain))
+
+
+def _error(values: Tensor) -> float:
+    return float(values.std()) / sqrt(len(values))

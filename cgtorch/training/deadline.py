@@ -1,0 +1,38 @@
+"""The end of the time of a training, also in the midst of a long step."""
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import inf
+from types import FrameType
+
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.asked import BudgetSpentError, Purse
+
+GRACE = 2.0  # s, in which a step ends by itself
+
+
+@contextmanager
+def deadline(purse: Purse) -> Iterator[None]:
+    """A context that is left by a BudgetSpentError soon after the time of a purse is over.
+
+    Steps look at the clock between generations, and one may take minutes. Only the main thread of a
+    single process has this alarm, where the system has one.
+    """
+    main = threading.current_thread() is threading.main_thread()
+    if purse.until == inf or not main or ranks.count() > 1 or not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    def ring(number: int, frame: FrameType | None) -> None:
+        raise BudgetSpentError("the time is over; give more (minutes, --minutes)")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, max(GRACE, purse.until + GRACE - time.monotonic()))
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)

@@ -1,0 +1,85 @@
+"""A holder falls only to a skill that is better on fresh scenarios, whatever luck says."""
+
+import math
+
+import pytest
+import torch
+from lottery import Lottery, PaidLottery, idle, staking, tickets
+from support import seeded
+from torch import Generator
+
+from cgtorch.graphs import Skill
+from cgtorch.improvement.race import FEWEST, FIRST, Fresh, Holder, race
+
+BEST, GOOD, BAD = staking(1.0), staking(0.9), staking(0.0, 1.0)
+"""Skills that win 90, 87.5 and 40 % of their tickets."""
+
+
+def fresh(paid: bool = False) -> Fresh:
+    def world(count: int, generator: Generator) -> Lottery:
+        return (PaidLottery if paid else Lottery)(tickets(count, generator))
+
+    return Fresh(world, max_transitions=3)
+
+
+def test_values_are_successes_or_returns_on_scenarios_that_all_skills_meet() -> None:
+    place = fresh()
+    won = place.of_skills([BEST, BAD, BEST], 20_000, seeded(0))
+    assert won.mean(1).tolist() == pytest.approx([0.9, 0.4, 0.9], abs=0.02)
+    assert torch.equal(won[0], won[2])
+    assert place.episodes == 60_000
+    assert place.executed == 60_000
+    paid = fresh(paid=True).of_skills([BEST, BAD], 20_000, seeded(0))
+    assert torch.equal(paid, 2 * won[:2])
+
+
+def test_a_mean_and_its_error_are_those_of_all_values() -> None:
+    values = torch.tensor([1.0, 0.0, 5.0, 2.0, 2.5])
+    holder = Holder(BEST).met(values[:2]).met(values[2:])
+    assert holder.skill is BEST
+    assert holder.count == 5
+    assert holder.mean == pytest.approx(float(values.mean()))
+    assert holder.error == pytest.approx(float(values.std()) / 5**0.5)
+    assert (Holder(BEST).mean, Holder(BEST).error) == (-math.inf, math.inf)
+    assert Holder(BEST).met(values[:1]).error == math.inf
+    assert holder.met(torch.tensor([-math.inf])).mean == -math.inf
+    assert holder.met(torch.tensor([-math.inf])).error == math.inf
+
+
+def winners(holder: Skill, challenger: Skill, longest: int, races: int = 60) -> int:
+    """How many races a challenger wins."""
+    places = [fresh() for _ in range(races)]
+    found = [
+        race(place, Holder(holder), challenger, longest, seeded(number))
+        for number, place in enumerate(places)
+    ]
+    for place, winner in zip(places, found, strict=True):
+        assert place.episodes <= 2 * max(longest, FEWEST)
+        # The holder stays more often where it was lucky, so these values do not count.
+        assert winner == Holder(winner.skill)
+    return sum(winner.skill is challenger for winner in found)
+
+
+def test_the_better_one_wins_nearly_always_where_there_are_enough_scenarios() -> None:
+    assert winners(BAD, BEST, 512) == 60
+    assert winners(BEST, BAD, 512) == 0
+    assert winners(GOOD, BEST, 20_000, races=20) >= 16
+
+
+def test_an_equal_or_slightly_worse_one_seldom_wins() -> None:
+    """With 5 % after the last pair and less before."""
+    assert winners(BEST, staking(1.0), 2048) == 0  # which does the same
+    assert winners(BEST, GOOD, 2048) <= 2
+    assert winners(staking(1.0, 0.1), staking(1.0, -0.1), 2048) <= 6  # which are equal
+
+
+def test_the_hopeless_end_a_race_early() -> None:
+    place = fresh()
+    winner = race(place, Holder(BEST), BAD, 10**6, seeded(0))
+    assert winner.skill is BEST
+    assert place.episodes <= 2 * 8 * FIRST
+
+
+def test_who_does_not_finish_an_episode_loses() -> None:
+    assert race(fresh(paid=True), Holder(BAD), idle(), 10**4, seeded(0)).skill is BAD
+    assert race(fresh(paid=True), Holder(idle()), BAD, 10**4, seeded(0)).skill is BAD

@@ -1,0 +1,62 @@
+"""The number of scenarios follows from how reliably they tell individuals apart."""
+
+import pytest
+import torch
+from support import seeded
+from torch import Tensor
+
+from cgtorch.evolution.fitness import WORST
+from cgtorch.improvement.spread import FEWEST, MOST, Need, reliability
+
+
+def scores(quality: float, noise: float, difficulty: float = 10.0, b: int = 16) -> Tensor:
+    """Of 400 individuals, whose quality, scenarios and luck have these standard deviations."""
+    generator = seeded(0)
+    p = 400
+    own = quality * torch.randn(p, 1, generator=generator)
+    hard = difficulty * torch.randn(1, b, generator=generator)
+    return own + hard + noise * torch.randn(p, b, generator=generator)
+
+
+@pytest.mark.parametrize(("quality", "noise"), [(1.0, 0.0), (1.0, 4.0), (0.5, 4.0), (0.0, 1.0)])
+def test_it_is_the_share_of_the_means_variance_that_is_not_luck(
+    quality: float, noise: float
+) -> None:
+    wanted = quality**2 / (quality**2 + noise**2 / 16)
+    assert reliability(scores(quality, noise)) == pytest.approx(wanted, abs=0.08)
+    alone = reliability(scores(quality, noise, difficulty=0.0))
+    assert alone == pytest.approx(reliability(scores(quality, noise)), abs=1e-4)
+
+
+def test_too_little_says_nothing_and_equal_ones_need_no_more() -> None:
+    assert reliability(torch.rand(3, 8)) == 1
+    assert reliability(torch.rand(30, 1)) == 1
+    assert reliability(torch.ones(30, 8)) == 1
+    assert reliability(torch.eye(8)) == 0  # of equal means, by luck alone
+
+
+def test_the_unfinished_are_left_out() -> None:
+    some = scores(1.0, 1.0)
+    unfinished = torch.full((50, 16), WORST)
+    unfinished[:, 1:] = 0
+    assert reliability(torch.cat([unfinished, some])) == reliability(some)
+
+
+def after(need: Need, generation: Tensor, times: int) -> Need:
+    for _ in range(times):
+        need = need.after(generation)
+    return need
+
+
+def test_luck_asks_for_more_scenarios_up_to_a_limit_and_differences_for_fewer() -> None:
+    more = after(Need(), scores(0.0, 1.0), 8)
+    assert FEWEST < more.scenarios < MOST
+    assert after(Need(), scores(0.0, 1.0), 60).scenarios == MOST
+    assert after(more, scores(1.0, 0.0), 60).scenarios == FEWEST
+    between = scores(1.0, 4.0)  # a reliability of a half
+    assert after(more, between, 60).scenarios == after(more, between, 30).scenarios
+
+
+def test_a_single_generation_does_not_change_it() -> None:
+    assert Need().after(scores(0.0, 1.0)).scenarios == FEWEST
+    assert Need(scenarios=40).after(scores(0.3, 1.0, b=4)).scenarios == 40

@@ -1,0 +1,52 @@
+"""The end of the time reaches into a long step."""
+
+import signal
+import threading
+import time
+
+import pytest
+
+from cgtorch.ground.asked import BudgetSpentError, Purse
+from cgtorch.training.deadline import GRACE, deadline
+
+
+def test_a_long_step_ends_soon_after_the_time_is_over() -> None:
+    before, began = signal.getsignal(signal.SIGALRM), time.monotonic()
+    with (
+        pytest.raises(BudgetSpentError, match="the time is over"),
+        deadline(Purse(until=began - 1.0)),
+    ):
+        time.sleep(60)
+    assert GRACE - 0.1 < time.monotonic() - began < GRACE + 5
+    assert signal.getsignal(signal.SIGALRM) is before
+
+
+def test_nothing_rings_after_the_context_or_without_a_limit() -> None:
+    with deadline(Purse(until=time.monotonic())):
+        pass
+    with deadline(Purse()):
+        assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
+
+
+def test_other_threads_have_no_alarm() -> None:
+    found: list[float] = []
+
+    def work() -> None:
+        with deadline(Purse(until=time.monotonic())):
+            found.append(signal.getitimer(signal.ITIMER_REAL)[0])
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [0]
+
+
+def test_what_is_asked_after_the_time_is_refused() -> None:
+    purse = Purse(until=time.monotonic())
+    assert purse.late()
+    assert not purse.late(grace=60)
+    assert not Purse().late()
+    with pytest.raises(BudgetSpentError, match="give more"):
+        purse.pay("trials", purse.total)
+    assert purse.exhausted
