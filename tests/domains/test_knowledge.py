@@ -173,6 +173,7 @@ def test_samples(most: int, odd: int, seed: int) -> None:
     assert int((grasps >= odd).sum()) == min(most, 20 - odd)
     assert len(set(grasps.tolist())) == len(grasps)
     assert torch.equal(some.succeeded, grasps % 2 == 0)
+    assert (grasps[: min(most, odd)] < odd).all()  # surprises come first
 
 
 COUNTS = st.integers(0, 40) | st.integers(SPARE - 12, SPARE + 12) | st.integers(FEW - 12, FEW + 12)
