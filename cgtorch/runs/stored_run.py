@@ -9,7 +9,7 @@ The folder contains:
     auto-1/ auto-2/ …   each finished round of --stage auto: the same
     log.jsonl           what happened, a line each, with all results and every action of a robot
     journal/            the results so far of an unfinished stage or round
-    writer.json         who writes to it or did last, whose lock is on this file
+    writer.lock         who writes to it or did last, whose lock is on this file
     set-aside/          journals of stages that were repeated with other settings or versions
     events.out.…        TensorBoard, for people
 """

@@ -22,7 +22,7 @@ try:
 except ImportError:  # on Windows, where nothing is locked
     fcntl = None  # type: ignore[assignment]
 
-WRITER = "writer.json"
+WRITER = "writer.lock"
 NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 """The errors of file systems without locks, on which a run is written without one."""
 _held = set[int]()

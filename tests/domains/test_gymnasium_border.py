@@ -287,3 +287,46 @@ def test_gymnasium_s_own_vectors_are_checked(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(made, "step", lambda action: wrong)
     with pytest.raises(WorldError, match=r"vectorised environment 'CartPole-v1' showed .* not fin"):
         world.step(lanes, torch.zeros(1, 2))
+
+
+def played(domain: Any, steps: int) -> tuple[bool, float]:
+    """Whether an episode is over after so many steps, and its success."""
+    world = domain.world(domain.draw("starts", 1, seeded(0)))
+    lanes = start_lanes(world, torch.arange(1), 1, 0)
+    for _ in range(steps):
+        lanes, _ = world.step(lanes, torch.zeros(1, 1))
+    return bool(world.over(lanes)), float(world.success(lanes)[1])
+
+
+def test_an_episode_ends_at_its_limit_or_when_it_is_cut_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    domain = domain_of(monkeypatch, {})
+    assert [played(domain, steps)[0] for steps in (5, 6)] == [False, True]
+
+    def cut(line: Line) -> Any:
+        return np.array([line.place, 0.5]), 1.0, False, line.steps == 3, {}
+
+    domain = domain_of(monkeypatch, {"step": cut})
+    assert [played(domain, steps)[0] for steps in (2, 3)] == [False, True]
+
+
+@pytest.mark.parametrize(("target", "solved"), [(6.0, 1.0), (6.001, 0.0), (5.0, 1.0)])
+def test_an_episode_is_solved_by_its_target_or_more_at_its_end(
+    monkeypatch: pytest.MonkeyPatch, target: float, solved: float
+) -> None:
+    domain = domain_of(monkeypatch, {}, target_return=target)
+    assert played(domain, 6) == (True, solved)
+    assert played(domain, 5) == (False, 0.0)
+
+
+def test_a_vector_that_is_cut_off_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    domain: Any = make_domain("gymnasium:CartPole-v1")
+    world = domain.world(domain.draw("starts", 1, seeded(0)))
+    lanes = start_lanes(world, torch.arange(1), 2, 0)
+    made, no, yes = domain.vector._of_size(1), np.zeros(1, bool), np.ones(1, bool)
+    for ends in ((no, yes), (yes, no), (no, no)):
+        found = (np.zeros((1, 4)), np.ones(1), *ends, {})
+        monkeypatch.setattr(made, "step", lambda action, found=found: found)
+        after, _ = world.step(lanes, torch.zeros(1, 2))
+        assert bool(world.over(after)) == bool(ends[0] | ends[1])

@@ -113,6 +113,43 @@ def test_wrong_data_are_refused_and_leave_everything_as_it_was(
         assert all(torch.equal(rows, vars(now)[name]) for name, rows in vars(old).items())
 
 
+def test_a_refused_update_loses_no_rows(known: Knowledge, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though a coreset was made for it, which is smaller."""
+    monkeypatch.setattr(learned, "MOST_NEW", 300)
+    monkeypatch.setattr(learned, "MOST_TRANSITIONS", len(known.dataset.percept) - 20)
+    monkeypatch.setattr(learned, "MOST_LABELS", len(known.dataset.tested) - 20)
+    new = driven(300, 300, 3)
+    wrong = replace(new, control=-new.control, succeeded=~new.succeeded)
+    after = learn_more(known, wrong, seeded(5))
+    assert after.acceptances is not None
+    assert not any(each.accepted for each in after.acceptances)
+    assert all(torch.equal(a, b) for a, b in zip(*map(every_row, (known, after)), strict=True))
+
+
+def every_row(knowledge: Knowledge) -> list[torch.Tensor]:
+    return list(vars(knowledge.dataset).values())
+
+
+def test_tests_that_were_got_wrong_are_learned_first(
+    known: Knowledge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = list[torch.Tensor]()
+
+    def noted(dataset: Dataset, surprise: torch.Tensor, *how: Any) -> Dataset:
+        asked.append(surprise)
+        return sampled(dataset, surprise, *how)
+
+    monkeypatch.setattr(learned, "sampled", noted)
+    data = driven(60, 60, 4)
+    with torch.no_grad():
+        right = (known.classifier(data.tested) > 0.5) == data.succeeded
+    assert right[:40].any()
+    wrong = torch.arange(60) < 7
+    truth = torch.where(right == wrong, ~data.succeeded, data.succeeded)
+    learn_more(known, replace(data, succeeded=truth), seeded(0))
+    assert torch.equal(asked[0], wrong)
+
+
 def test_errors_of_an_angle_go_the_shorter_way() -> None:
     gamma = models_of(Cart())._transition_model()
     one, other = torch.zeros(1, 4), torch.zeros(1, 4)
@@ -136,6 +173,7 @@ def test_samples(most: int, odd: int, seed: int) -> None:
     assert int((grasps >= odd).sum()) == min(most, 20 - odd)
     assert len(set(grasps.tolist())) == len(grasps)
     assert torch.equal(some.succeeded, grasps % 2 == 0)
+    assert (grasps[: min(most, odd)] < odd).all()  # surprises come first
 
 
 COUNTS = st.integers(0, 40) | st.integers(SPARE - 12, SPARE + 12) | st.integers(FEW - 12, FEW + 12)

@@ -8,14 +8,21 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rail import GEAR, LAMP, PLACE, Cart, SeeingCart, driven
-from support import models_of
+from support import models_of, seeded
 
 from cgtorch.domains import success
 from cgtorch.domains.reports import SuccessReport
-from cgtorch.domains.success import FOLDS, SuccessClassifier, calibration, fit_success_classifier
+from cgtorch.domains.success import (
+    FOLDS,
+    SuccessClassifier,
+    _cross_fitted,
+    calibration,
+    fit_success_classifier,
+)
 from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError, ModelError
 from cgtorch.svm import load_model, save_model
+from cgtorch.svm.platt import fit_platt, probability
 
 Fitted = tuple[SuccessClassifier, SuccessReport]
 GRID: dict[str, Any] = {"C": [100.0], "gamma": [0.5]}
@@ -191,3 +198,16 @@ def test_calibration_is_what_it_is_defined_as(rows: list[tuple[float, bool]]) ->
     gaps = [abs(sum(c for c, _ in b) - sum(t for _, t in b)) for b in bins.values()]
     assert error == pytest.approx(sum(gaps) / len(rows), abs=1e-9)
     assert 0 <= error <= 1
+
+
+def test_a_held_out_probability_is_by_a_curve_that_has_not_seen_it() -> None:
+    value = torch.randn(60, generator=seeded(0), dtype=torch.float64)
+    noise = torch.randn(60, generator=seeded(1), dtype=torch.float64)
+    signs, folds = (value + noise).sign(), torch.arange(60) % 3
+    before = _cross_fitted(value, signs, folds)
+    after = _cross_fitted(value, torch.where(folds == 1, -signs, signs), folds)
+    same = before == after
+    assert same[folds == 1].all()
+    assert not same[folds != 1].any()
+    slope, offset = fit_platt(value[folds != 1], signs[folds != 1])
+    assert torch.equal(before[folds == 1], probability(value[folds == 1], slope, offset))

@@ -18,7 +18,7 @@ from walking import walking_actions as walking
 
 from cgtorch.graphs import ActionSet, Graphs, Skill, SubSkill
 from cgtorch.ground.asked import Asked, Purse
-from cgtorch.ground.environment import Environment, Lanes, Rewarded
+from cgtorch.ground.environment import Environment, Lanes, Rewarded, start_lanes
 from cgtorch.ground.errors import WorldError
 from cgtorch.improvement.trial import try_skill
 from cgtorch.simulation import (
@@ -250,3 +250,52 @@ def test_as_many_actions_as_the_limits_of_all_levels_allow() -> None:
     assert transitions() == 20 * 60
     assert transitions(max_transitions=15) == 15 * 60
     assert transitions(max_steps=70) == 70
+
+
+class Doubtful(RewardedPath):
+    """One in which walks of any kind end with this success."""
+
+    chance = 0.45
+
+    def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
+        return lanes, torch.full((len(lanes),), self.chance)
+
+
+@pytest.mark.parametrize("trace", [None, lambda *seen: None])
+@pytest.mark.parametrize(("chance", "succeeds"), [(0.45, False), (0.5, False), (0.55, True)])
+def test_an_episode_has_succeeded_from_more_than_a_half_on(
+    chance: float, succeeds: bool, trace: Trace | None
+) -> None:
+    actions, place = walking(), Doubtful(Walks(torch.zeros(2), torch.ones(2)))
+    place.chance = chance
+    runs = rollout(chain(actions, "Aim", "Step"), actions, place, trace=trace)
+    assert runs.succeeded.tolist() == [[succeeds, succeeds]]
+    recording = Recording(place)
+    lanes = start_lanes(recording, torch.arange(2), 1, 0)
+    recording.success(lanes)
+    assert recording.experience()[4].tolist() == [succeeds, succeeds]
+
+
+@pytest.mark.parametrize("trace", [None, lambda *seen: None])
+def test_an_episode_that_is_over_at_its_start_ends_after_one_action(trace: Trace | None) -> None:
+    actions, place = walking(), RewardedPath(Walks(torch.zeros(2), torch.tensor([0.0, 5.0])))
+    runs = rollout(chain(actions, "Aim", "Step"), actions, place, trace=trace)
+    assert runs.transitions[0, 0] == 1
+    assert runs.returns is not None
+    assert runs.returns[0, 0] == 0
+    assert runs.transitions[0, 1] > 1
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_hooks_of_a_step_are_called(before: bool) -> None:
+    actions, place = walking(), RewardedPath(Walks(torch.zeros(2), torch.full((2,), 3.0)))
+    step, called = actions.actions[actions.index("Step")], list[bool]()
+    if before:
+        hook = step.register_forward_pre_hook(lambda *given: called.append(True))
+    else:
+        hook = step.register_forward_hook(lambda *given: called.append(True))
+    try:
+        rollout(chain(actions, "Aim", "Step"), actions, place)
+    finally:
+        hook.remove()
+    assert called

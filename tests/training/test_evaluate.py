@@ -30,6 +30,14 @@ def test_a_score_is_said_in_a_word() -> None:
     )
 
 
+@pytest.mark.parametrize(("last", "mean"), [(4.5, 2.625), (-torch.inf, None), (torch.nan, None)])
+def test_returns_of_which_one_is_missing_have_no_mean(last: float, mean: float | None) -> None:
+    returns = torch.tensor([1.0, 2, 3, last])
+    assert replace(score(3, 4), returns=returns).mean_return == mean
+    assert replace(score(0, 0), returns=returns[:0]).mean_return is None
+    assert score(3, 4).mean_return is None
+
+
 def test_scenarios_come_from_the_seed() -> None:
     skill = random_skill(4, "some", paper_actions())
     first, again, other = (evaluate_skill(skill, TABLE, "left", 30, s) for s in (1, 1, 2))

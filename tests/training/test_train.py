@@ -10,11 +10,21 @@ import pytest
 import torch
 from members import nearly
 from reaching import TABLE
+from support import seeded
 from torch import Tensor
 
+from cgtorch.evolution.population import random_population
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.errors import SettingsError
-from cgtorch.improvement.events import Event, Practised, SkillAccepted, StageFailed, StageStarted
+from cgtorch.improvement.checkpoint import Found
+from cgtorch.improvement.events import (
+    Event,
+    EvolutionRecalled,
+    Practised,
+    SkillAccepted,
+    StageFailed,
+    StageStarted,
+)
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.settings import RunSettings
@@ -25,7 +35,13 @@ from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
 from cgtorch.training import train as module
 from cgtorch.training.context import Training
-from cgtorch.training.train import NotImprovedError, stage_generator, stages_to_make, train
+from cgtorch.training.train import (
+    NotImprovedError,
+    Tally,
+    stage_generator,
+    stages_to_make,
+    train,
+)
 
 SKILL = nearly(0.5)
 SETTINGS = RunSettings(models="none", practice=4)
@@ -49,14 +65,19 @@ def rows(*flags: bool) -> Tensor:
 
 
 class Method:
-    """A method that accepts one skill, whose results on tests are given; it solves nothing else.
+    """A method that accepts one skill, whose results on tests are given.
+
+    It solves nothing else, or with `earlier` the first of what was missed earlier.
 
     It tries as many tests as it has results for, by default before what was missed earlier. With
     `last` they come after that, as where nothing can be put back. `chance` is what it finds.
     """
 
-    def __init__(self, *succeeded: bool, last: bool = False, chance: bool = False):
+    def __init__(
+        self, *succeeded: bool, last: bool = False, chance: bool = False, earlier: bool = False
+    ):
         self.succeeded, self.last, self.chance = rows(*succeeded), last, chance
+        self.earlier = earlier
         self.given = list[Given]()
 
     def __call__(
@@ -71,6 +92,7 @@ class Method:
         setup.watch(Practised(setup.name, SKILL, 4, 4))
         tried, old = tests[: len(self.succeeded)], progress.missed
         unsolved = torch.zeros(len(old), dtype=torch.bool)
+        unsolved[:1] = self.earlier
         if self.last:
             every, succeeded = old.joined(tried), torch.cat([unsolved, self.succeeded])
         else:
@@ -155,11 +177,11 @@ def test_own_tests_are_not_mixed_up_with_earlier_failures(
 ) -> None:
     """The paper's method tries tests first in any world."""
     first = Method(True, False, False, True, False, last=last and not chance, chance=chance)
-    second = Method(False, True, True, True, True, last=last)
+    second = Method(False, True, True, True, True, last=last, earlier=True)
     run = replace(run, repeats=repeats, settings=replace(SETTINGS, method=method))
     results = make(run, first, second)
     counts = [tuple(r[name] for name in COUNTS) for r in results]
-    assert counts == [(2, 5, 0, 0), (4, 5, 3, 0)]
+    assert counts == [(2, 5, 0, 0), (4, 5, 3, 1)]
     assert [r["w_size"] for r in results] == [0, 2]
 
 
@@ -275,3 +297,14 @@ def test_a_stage_has_randomness_of_its_own() -> None:
     assert len(everything) == 20 * len(names)
     assert drawn(3, "S2") == drawn(3, "S2")
     drawn(2**31 - 1, "S3")  # the largest seed that settings allow
+
+
+def test_a_search_that_is_recalled_counts_with_all_of_its_generations() -> None:
+    one, other = (random_population(1, paper_actions(), 4, (2, 4), seeded(n)) for n in (0, 1))
+    tally = Tally()
+    for champion, best in ((one, 0.5), (other, 0.5), (other, 0.25)):
+        found = Found(champion, torch.zeros(0), best, 2, generations=7, transitions=30, seconds=1.5)
+        tally.count(EvolutionRecalled("S0", "S0.1", found))
+    assert (tally.generations, tally.transitions, tally.searching) == (21, 90, 4.5)
+    assert tally.champion is one  # which was as good before
+    assert tally.best == 0.5
