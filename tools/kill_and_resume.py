@@ -83,7 +83,7 @@ def train(run: Path, words: list[str], seconds: float | None = None) -> bool:
 
 def results_of(run: Path) -> dict[str, Any]:
     """All results of a run except times: its files by name, and its log."""
-    names = [p for p in sorted(run.rglob("*.json")) if p.name not in ("run.json", "writer.json")]
+    names = [p for p in sorted(run.rglob("*.json")) if p.name != "run.json"]
     found = {str(p.relative_to(run)): timeless(read_json(p)) for p in names}
     for path in sorted(run.rglob("*.safetensors")):
         data = path.read_bytes()  # whose notes are in any order
