@@ -204,6 +204,7 @@ def test_a_program_trains_and_acts(
 def test_a_program_plots_what_happened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
     left = ran("course.py", tmp_path, monkeypatch)
+    left["plt"].close("all")
     assert (tmp_path / "pole.png").read_bytes().startswith(b"\x89PNG")
     assert len(left["best"]) > 3
     assert left["best"].max() >= 200

@@ -205,7 +205,7 @@ class Goal:
     minutes: float = option(
         10.0,
         "With --stage auto: end after this time, min. The best skill so far is kept, and --resume "
-        "continues it.",
+        "continues it. An exploration before the first round is finished.",
         least=0,
         most=1e6,
         when="Raise it for hard tasks.",

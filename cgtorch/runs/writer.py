@@ -1,7 +1,7 @@
 """One writer to a run: a lock on a file that is kept open, which ends with its process.
 
-`flock` leaves nothing behind that could outlive a process or a reboot, and the lock stays with a
-folder that is renamed. What the file says is only for the one who comes second.
+The lock cannot outlive its process or a reboot, and it stays with a folder that is renamed. What
+the file says is only for the one who comes second. The file is removed at the end.
 """
 
 import errno
@@ -37,9 +37,7 @@ def sole_writer(folder: Path) -> Iterator[None]:
     """
     failure, file = "", -1
     if ranks.first():
-        with writing(folder):
-            file = os.open(folder / WRITER, os.O_RDWR | os.O_CREAT, 0o666)
-        failure = _refused(folder, file)
+        failure, file = _locked(folder)
     try:
         if said := ranks.broadcast(failure):
             raise RunError(said)
@@ -52,11 +50,40 @@ def sole_writer(folder: Path) -> Iterator[None]:
             ) from e
         raise
     finally:
-        if file in _held:
-            fcntl.flock(file, fcntl.LOCK_UN)  # also for forked processes that have the file
+        _release(folder, file)
+
+
+def _locked(folder: Path) -> tuple[str, int]:
+    """A message if another has the lock, and the open file, which is the one in the folder.
+
+    An earlier writer may remove the file after it was opened here, and before it was locked.
+    """
+    while True:
+        with writing(folder):
+            file = os.open(folder / WRITER, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            failure = _refused(folder, file)
+        except BaseException:  # such as of a full disk
+            _release(folder, file)
+            raise
+        if failure:
+            return failure, file
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file), os.stat(folder / WRITER)):
+                return "", file
         _held.discard(file)
-        if file >= 0:
-            os.close(file)
+        os.close(file)
+
+
+def _release(folder: Path, file: int) -> None:
+    """Remove the file and the lock, if they are held, and close an open file."""
+    if file in _held:
+        with suppress(OSError):  # the folder may have gone
+            os.unlink(folder / WRITER)
+        fcntl.flock(file, fcntl.LOCK_UN)  # also for forked processes that have the file
+    _held.discard(file)
+    if file >= 0:
+        os.close(file)
 
 
 def _refused(folder: Path, file: int) -> str:

@@ -63,10 +63,10 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
         RunError: A file cannot be written or read.
     """
     run, began = training.run, time.monotonic()
-    training.purse.until = began + 60 * goal.minutes
     recall_spent(training)
     last = run.folder / run.stages[-1] if run.stages else None
     progress = load_progress(run, last) if last else initial_progress(training)
+    training.purse.until = began + 60 * goal.minutes  # first data are worth nothing by halves
     results = run.results
     first, made = len(results) - len(run.rounds), len(run.rounds)
     while not reached(goal, results[first:]) and made < goal.rounds and not training.purse.late():

@@ -37,7 +37,10 @@ PR2 = robots_folder() / "pr2"
         (["--transitions", "5"], "transitions is 5"),
         (["--method", "magic"], "method is 'magic'; use one of compose, paper"),
         (["--position-noise", "nan"], "position_noise is nan"),
-        (["--stage", "auto", "--target", "1"], "target is 1.0; give a number from 0.5 to 0.999"),
+        (
+            ["--stage", "auto", "--target", "1"],
+            "target is 1, which is no share of scenarios",
+        ),
         (["--stage", "auto", "--target", "nan"], "target is nan"),
         (["--stage", "auto", "--minutes", "-1"], "minutes is -1.0; give a number from 0 to"),
         (["--stage", "auto", "--rounds", "0"], "rounds is 0; give a whole number of at least 1"),
@@ -205,7 +208,7 @@ def test_a_run_with_an_unknown_setting_or_without_a_skill(
     edited(run_folder, {"colour": "red"})
     assert "'colour' is unknown or missing" in shell.refuses(EVALUATE, run_folder)
     empty = copied(trained, tmp_path / "empty", ())
-    said = f"has no finished stage or round; finish one with cgtorch-train --resume {empty}"
+    said = f"no skill of an interrupted one; finish one with cgtorch-train --resume {empty}"
     assert said in shell.refuses(EVALUATE, empty)
 
 

@@ -51,7 +51,7 @@ def test_a_run_without_its_data_is_refused_before_anything_is_written(
         ({"stage": "S1"}, ["--stage", "S9"], "unknown stage 'S9'"),
         ({"stage": "S1"}, ["--stage", "S1", "--target", 0.9], "rounds are for stage 'auto'"),
         ({"stage": "S1"}, ["--target", 0.9], "rounds are for stage 'auto'"),
-        ({"stage": "S1"}, ["--stage", "auto", "--target", 7], "target is 7.0"),
+        ({"stage": "S1"}, ["--stage", "auto", "--target", 7], "target is 7, which is no share"),
         ({"stage": "S1"}, ["--stage", "auto", "--seed", 1], f"has seed {SMALL.seed}, not 1"),
         # What is damaged is refused, too.
         (3, [], "goes_on_to of"),

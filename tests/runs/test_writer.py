@@ -1,5 +1,6 @@
 """One writer to a run: who comes second is told, and a lock ends with its process."""
 
+import fcntl
 import json
 import multiprocessing
 import os
@@ -73,8 +74,28 @@ def test_a_file_that_says_nothing_is_no_reason_to_fail(tmp_path: Path, said: byt
         (tmp_path / WRITER).write_bytes(said)
         with pytest.raises(RunError, match=r"is written by another process; wait for its end"):
             enter(tmp_path)
-    enter(tmp_path)
-    assert json.loads((tmp_path / WRITER).read_text())["process"] == os.getpid()
+    with sole_writer(tmp_path):
+        assert json.loads((tmp_path / WRITER).read_text())["process"] == os.getpid()
+    assert not (tmp_path / WRITER).exists()
+
+
+def test_a_file_that_an_earlier_writer_removed_meanwhile_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its lock would keep nobody out."""
+    lock, calls = fcntl.flock, list[int]()
+
+    def late(file: int, how: int) -> None:
+        calls.append(how)
+        if len(calls) == 1:
+            (tmp_path / WRITER).unlink()
+        lock(file, how)
+
+    monkeypatch.setattr("fcntl.flock", late)
+    with sole_writer(tmp_path):
+        assert len(calls) == 2
+        with pytest.raises(RunError, match=r"is written by process"):
+            enter(tmp_path)
 
 
 def test_a_forked_process_does_not_hold_the_lock_of_its_parent(tmp_path: Path) -> None:

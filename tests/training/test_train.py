@@ -70,14 +70,11 @@ class Method:
     It solves nothing else, or with `earlier` the first of what was missed earlier.
 
     It tries as many tests as it has results for, by default before what was missed earlier. With
-    `last` they come after that, as where nothing can be put back. `chance` is what it finds.
+    `last` they come after that, as where nothing can be put back.
     """
 
-    def __init__(
-        self, *succeeded: bool, last: bool = False, chance: bool = False, earlier: bool = False
-    ):
-        self.succeeded, self.last, self.chance = rows(*succeeded), last, chance
-        self.earlier = earlier
+    def __init__(self, *succeeded: bool, last: bool = False, earlier: bool = False):
+        self.succeeded, self.last, self.earlier = rows(*succeeded), last, earlier
         self.given = list[Given]()
 
     def __call__(
@@ -103,7 +100,7 @@ class Method:
         setup.watch(SkillAccepted(setup.name, skill, *told, 1.5))
         solved, missed = progress.solved.joined(every[succeeded]), every[~succeeded]
         seen = first_percepts(TABLE.world(solved.joined(missed)))
-        about = {"solved": solved, "missed": missed, "seen": seen, "chance": self.chance}
+        about = {"solved": solved, "missed": missed, "seen": seen}
         return replace(progress, skill=skill, **about)
 
 
@@ -163,20 +160,15 @@ COUNTS = "targets_succeeded", "targets", "earlier_failures", "earlier_failures_s
 
 
 @pytest.mark.parametrize(
-    ("method", "repeats", "chance", "last"),
-    [
-        ("compose", True, False, False),
-        ("compose", False, False, True),
-        ("compose", True, True, True),
-        ("paper", False, False, False),
-    ],
-    ids=["it repeats itself", "it does not", "it was found to be chance", "the paper's method"],
+    ("method", "repeats", "last"),
+    [("compose", True, False), ("compose", False, True), ("paper", False, False)],
+    ids=["it repeats itself", "it does not", "the paper's method"],
 )
 def test_own_tests_are_not_mixed_up_with_earlier_failures(
-    make: Make, run: StoredRun, method: str, repeats: bool, chance: bool, last: bool
+    make: Make, run: StoredRun, method: str, repeats: bool, last: bool
 ) -> None:
     """The paper's method tries tests first in any world."""
-    first = Method(True, False, False, True, False, last=last and not chance, chance=chance)
+    first = Method(True, False, False, True, False, last=last)
     second = Method(False, True, True, True, True, last=last, earlier=True)
     run = replace(run, repeats=repeats, settings=replace(SETTINGS, method=method))
     results = make(run, first, second)
