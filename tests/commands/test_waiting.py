@@ -95,8 +95,12 @@ def test_an_interrupt(
             happens()
 
     monkeypatch.setattr("sys.argv", ["stopped"])
-    with pytest.raises(SystemExit) as ended:
-        run_command(click.Command("stopped", None, interrupted))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # else not in the background
+    try:
+        with pytest.raises(SystemExit) as ended:
+            run_command(click.Command("stopped", None, interrupted))
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert ended.value.code == 1
     assert capsys.readouterr().err.lstrip("\n") == line  # click ends the line of a ^C
 
