@@ -6,7 +6,7 @@ once is a fact that later skills have to keep. So there is no W, and
 1. all individuals of a generation meet the same fresh scenarios. How many follows from how
    reliably they tell individuals apart (`cgtorch.improvement.spread`);
 2. a challenger becomes the holder, the skill of the stage, if it wins a paired race on further
-   fresh scenarios (`cgtorch.improvement.race`);
+   fresh scenarios (`cgtorch.improvement.paired_race`);
 3. from the second cycle of structures on, half of all actions tune parameters with ever more
    scenarios (`cgtorch.improvement.tuning`): the holder's, and then those of other structures. The
    other half looks for new structures, so that local optima are left.
@@ -38,7 +38,7 @@ from cgtorch.improvement.events import (
     solved_of,
 )
 from cgtorch.improvement.expected_state import State, state_from_tensors, tensors_of_state
-from cgtorch.improvement.race import Fresh, Holder, race
+from cgtorch.improvement.paired_race import Fresh, Holder, paired_race
 from cgtorch.improvement.setup import Draw, Progress, Setup
 from cgtorch.improvement.trial import try_skill
 from cgtorch.improvement.tuning import Tuning
@@ -116,7 +116,7 @@ class Search:
             finite = bool(values.isfinite().all())
             return (state.held_by(Holder(challenger)) if finite else state), finite
         before = self.fresh.episodes
-        winner = race(self.fresh, state.holder, challenger, state.longest, generator)
+        winner = paired_race(self.fresh, state.holder, challenger, state.longest, generator)
         raced = state.spent.raced + self.fresh.episodes - before
         state = replace(state, spent=replace(state.spent, raced=raced))
         return state.held_by(winner), winner.skill is challenger

@@ -11,7 +11,7 @@ from cgtorch.evolution.ask_and_tell import VECTORS, damage, population_named, po
 from cgtorch.evolution.cma import Distribution
 from cgtorch.evolution.population import initial_strategy
 from cgtorch.graphs import ActionSet, Graphs, Skill
-from cgtorch.improvement.race import Holder
+from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.spread import Need
 from cgtorch.improvement.tuning import Tuning
 

@@ -49,26 +49,20 @@ def specialist(
     scenarios: S,
     percepts: Tensor,
     seeds: Population | None,
-) -> tuple[Population, Tensor, Tensor]:
+) -> tuple[Population, Tensor]:
     """The best individual on scenarios with first percepts (R, D), as small as it can be.
 
     If it solves all of a group, or has a fitness of `Budget.satisfied`, it goes on on twice as
     many. This detects chance successes on a few, while most of the search runs on a few. Returned
-    are also the indices (r,) of the largest group, and what it solves of that (r,).
+    is also what it solves (r,) of the largest group, which are the first r scenarios.
     """
     step, size = name, len(percepts)
-    order = torch.arange(size)
     if setup.widest > setup.group:
         size = min(setup.group, size)
-
-    def environment_of(rows: Tensor) -> Environment:
-        more = 0 if setup.remembers else setup.replicas * setup.group // len(rows)
-        replicas = max(setup.replicas, more)
-        about = models, scenarios[rows], percepts[rows], replicas
-        return setup.imagine(*about, setup.generator, setup.device)
-
     while True:
-        environment = environment_of(order[:size])
+        more = 0 if setup.remembers else setup.replicas * setup.group // size
+        about = models, scenarios[:size], percepts[:size], max(setup.replicas, more)
+        environment = setup.imagine(*about, setup.generator, setup.device)
         found = _searched(setup, step, environment, seeds)
         well = bool(found.solved.all()) or found.best >= setup.budget.satisfied
         if size >= len(percepts) or not well:
@@ -79,7 +73,7 @@ def specialist(
     before = asked_of(environment)
     small = shrunk(found.champion, setup.actions, environment, *how)
     _counted(setup, replace(found, asked=_of_all_ranks(asked_of(environment) - before)))
-    return small, order[:size], found.solved
+    return small, found.solved
 
 
 def _searched(

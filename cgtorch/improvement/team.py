@@ -154,13 +154,13 @@ def with_member(setup: Setup[S], state: StageState[S], missed: Tensor) -> StageS
         some = torch.randperm(len(solved), generator=setup.generator)[:OTHERS]
         rows = torch.cat([rows, solved[some]])
     about = state.knowledge, state.scenarios[rows], state.percepts[rows], state.population
-    champion, where, solved = specialist(setup, name, *about)
+    champion, solved = specialist(setup, name, *about)
     graphs = join(state.population, champion) if state.population else champion
     member = Skill(name, merged(champion.graphs), setup.actions, setup.max_transitions)
     state = replace(state, population=graphs).joined_by(member)
     if not setup.remembers:
         return state
-    return state.learned(len(state.members) - 1, rows[where], solved)
+    return state.learned(len(state.members) - 1, rows[: len(solved)], solved)
 
 
 def no_worse(old: Tensor, new: Tensor, keep: Tensor, gain: float = 0.0) -> bool:

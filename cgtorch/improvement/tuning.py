@@ -15,7 +15,7 @@ from cgtorch.evolution.cma import (
 from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.lineages import Lineage, tunable
 from cgtorch.graphs import ActionSet, Graphs
-from cgtorch.improvement.race import Fresh
+from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.spread import MANY, reliability
 
 MOST = 2048  # scenarios of an update

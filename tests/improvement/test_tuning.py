@@ -8,7 +8,7 @@ from lottery import ACTIONS, Lottery, PaidLottery, idle, staking, tickets
 from support import seeded
 from torch import Generator
 
-from cgtorch.improvement.race import Fresh
+from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.tuning import (
     CAREFUL,
     EVERY,

@@ -9,7 +9,7 @@ from support import seeded
 from torch import Generator
 
 from cgtorch.graphs import Skill
-from cgtorch.improvement.race import FEWEST, FIRST, Fresh, Holder, race
+from cgtorch.improvement.paired_race import FEWEST, FIRST, Fresh, Holder, paired_race
 
 BEST, GOOD, BAD = staking(1.0), staking(0.9), staking(0.0, 1.0)
 """Skills that win 90, 87.5 and 40 % of their tickets."""
@@ -50,7 +50,7 @@ def winners(holder: Skill, challenger: Skill, longest: int, races: int = 60) -> 
     """How many races a challenger wins."""
     places = [fresh() for _ in range(races)]
     found = [
-        race(place, Holder(holder), challenger, longest, seeded(number))
+        paired_race(place, Holder(holder), challenger, longest, seeded(number))
         for number, place in enumerate(places)
     ]
     for place, winner in zip(places, found, strict=True):
@@ -75,11 +75,11 @@ def test_an_equal_or_slightly_worse_one_seldom_wins() -> None:
 
 def test_the_hopeless_end_a_race_early() -> None:
     place = fresh()
-    winner = race(place, Holder(BEST), BAD, 10**6, seeded(0))
+    winner = paired_race(place, Holder(BEST), BAD, 10**6, seeded(0))
     assert winner.skill is BEST
     assert place.episodes <= 2 * 8 * FIRST
 
 
 def test_who_does_not_finish_an_episode_loses() -> None:
-    assert race(fresh(paid=True), Holder(BAD), idle(), 10**4, seeded(0)).skill is BAD
-    assert race(fresh(paid=True), Holder(idle()), BAD, 10**4, seeded(0)).skill is BAD
+    assert paired_race(fresh(paid=True), Holder(BAD), idle(), 10**4, seeded(0)).skill is BAD
+    assert paired_race(fresh(paid=True), Holder(idle()), BAD, 10**4, seeded(0)).skill is BAD

@@ -93,7 +93,7 @@ class Fresh:
         return torch.cat(parts, 1)
 
 
-def race(
+def paired_race(
     fresh: Fresh, holder: Holder, challenger: Skill, longest: int, generator: Generator
 ) -> Holder:
     """The better of two skills on up to `longest` fresh scenarios, which both meet.
