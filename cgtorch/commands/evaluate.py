@@ -65,6 +65,8 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     a skill file. A skill file is tried in its domain's default world; for the tabletop this has
     the built-in PR2.
     """
+    if rest["failures"]:
+        common.draw_without_display()
     with common.importing():
         import torch
 

@@ -170,16 +170,17 @@ def write_failures(
 ) -> list[Path]:
     """Write failures.md, failures.json, and a film of each example where the domain can draw."""
     folder.mkdir(parents=True, exist_ok=True)
-    films = dict[int, str]()
+    films, pictures = dict[int, str](), domain.pictures(domain)
     for number, kind in enumerate(kinds, 1):
         one = score.scenarios[kind.scenarios[0] : kind.scenarios[0] + 1]
         try:
-            film = domain.pictures(domain).film(skill, one, WIDTH)
-        except CgtorchError:  # this machine cannot draw
+            film = pictures.film(skill, one, WIDTH)
+        except CgtorchError:  # this machine cannot draw, and to try again may end the process
             film = None
-        if film is not None:
-            films[number] = f"kind-{number}.webp"
-            write_bytes(folder / films[number], animated([film], "webp"))
+        if film is None:
+            break
+        films[number] = f"kind-{number}.webp"
+        write_bytes(folder / films[number], animated([film], "webp"))
     names = domain.percept, domain.control
     data = [
         {**as_data(kind, *names), "film": films.get(number)} for number, kind in enumerate(kinds, 1)

@@ -145,6 +145,23 @@ def test_a_film_of_each_kind_where_the_domain_draws(tmp_path: Path) -> None:
     assert [kind["film"] for kind in data["kinds"]] == [path.name for path in films]
 
 
+def test_who_cannot_draw_is_asked_only_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Graphics libraries may end a process that tries again."""
+    tried = list[int]()
+
+    def film(*given: Any) -> None:
+        tried.append(1)
+        raise SettingsError("MuJoCo cannot draw here")
+
+    monkeypatch.setattr(TABLE.pictures, "film", film)
+    kinds = failures_of(SKILL, TABLE, SCORE)
+    assert len(kinds) > 1
+    assert len(write_failures(tmp_path, SKILL, TABLE, SCORE, kinds)) == 2
+    assert tried == [1]
+
+
 def test_a_run_tells_why_its_skill_fails(trained: Trained) -> None:
     run = open_run(trained.folder)
     score = run.evaluate(40, "far", seed=1)
