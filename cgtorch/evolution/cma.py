@@ -1,7 +1,7 @@
 """CMA-ES (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772), with its constants.
 
-With more than `MOST_FULL` parameters, only the variances are learned, as in sep-CMA-ES (Ros and
-Hansen, "A simple modification in CMA-ES achieving linear time and space complexity", PPSN 2008).
+Of many parameters, only the variances are learned, as in sep-CMA-ES (Ros and Hansen, "A simple
+modification in CMA-ES achieving linear time and space complexity", PPSN 2008).
 """
 
 import math
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-MOST_FULL = 200  # parameters for which covariances are learned
+MOST_FULL = 200  # parameters for which covariances are learned by default
 LEAST_VARIANCE = 1e-20  # of any direction, in units of the squared step size
 
 
@@ -21,7 +21,7 @@ class Distribution:
     Attributes:
         mean: (n,).
         step: The step size σ.
-        covariance: C (n, n), or only its diagonal (n,) for more than `MOST_FULL` parameters.
+        covariance: C (n, n), or only its diagonal (n,) where only variances are learned.
         path: (n,) the evolution path of C.
         step_path: (n,) the evolution path of the step size.
         updates: Number of updates so far.
@@ -35,11 +35,16 @@ class Distribution:
     updates: int = 0
 
 
-def initial_distribution(mean: Tensor, deviation: Tensor) -> Distribution:
-    """The uncorrelated distribution with a mean (n,) and standard deviations (n,)."""
+def initial_distribution(
+    mean: Tensor, deviation: Tensor, most_full: int = MOST_FULL
+) -> Distribution:
+    """The uncorrelated distribution with a mean (n,) and standard deviations (n,).
+
+    Covariances are learned of up to `most_full` parameters.
+    """
     n, mean, variance = len(mean), mean.double(), deviation.double().square()
     zeros = torch.zeros_like(mean)
-    covariance = variance.diag() if n <= MOST_FULL else variance
+    covariance = variance.diag() if n <= most_full else variance
     return Distribution(mean, 1.0, covariance, zeros, zeros)
 
 

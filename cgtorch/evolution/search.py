@@ -20,7 +20,8 @@ from cgtorch.evolution import compiled
 from cgtorch.evolution.evolution import EvolutionState, initial_state, next_state
 from cgtorch.evolution.fitness import Evaluation
 from cgtorch.evolution.operators import crossover, mutate
-from cgtorch.evolution.population import STRATEGY, Population
+from cgtorch.evolution.population import STRATEGY, Population, join, slim
+from cgtorch.evolution.racing import race
 from cgtorch.evolution.selection import Evaluated
 from cgtorch.evolution.settings import EvolutionSettings, check_parts
 from cgtorch.graphs import ActionSet, Graphs, SubSkill, check_action, widened
@@ -88,6 +89,7 @@ def evolve(
     keep: Tensor | None = None,
     seeds: Population | None = None,
     islands: Sequence[EvolutionState] | None = None,
+    guests: Callable[[], Population | None] | None = None,
     max_transitions: int = MAX_TRANSITIONS,
 ) -> Iterator[Generation]:
     """Evolve without end: the caller decides when to stop iterating.
@@ -103,6 +105,8 @@ def evolve(
             on the CPU. A function that makes environments has none.
         seeds: Earlier individuals, which become half of each first population.
         islands: Islands of this rank to continue, in place of first populations.
+        guests: Called before each later generation; the individuals that it returns take the places
+            of the last ones of the first island.
         max_transitions: Transitions after which a rollout fails.
 
     The ranks (`cgtorch.ground.distributed`) share the islands. All ranks must pass the same
@@ -147,10 +151,12 @@ def evolve(
         if count > 1 and (generation.number + 1) % settings.migration == 0:
             arrivals = _shared(ranks.ring_shift, map(emigrants, evaluated), settings)
             evaluated = [migrated(*pair) for pair in zip(evaluated, arrivals, strict=True)]
-        if settings.newcomers and generation.succeeded.any():
+        if settings.evaluate is race and generation.succeeded.any():
             evaluated = [_settled(each) for each in evaluated]
         pairs = zip(islands, evaluated, strict=True)
         islands = [next_state(*pair, settings, actions) for pair in pairs]
+        if guests is not None and (some := guests()) is not None:
+            islands = [_with_guests(islands[0], some), *islands[1:]]
         if callable(environment):
             fresh = environment(generation.number + 1)
             evaluation = about(environment=fresh, keep=keep.new_zeros(fresh.num_scenarios))
@@ -206,6 +212,12 @@ def _settled(evaluated: Evaluated) -> Evaluated:
     strategy = evaluated.population.strategy.clone()
     strategy[:, : STRATEGY.index("mutate_parameter")].clamp_(max=RARELY)
     return replace(evaluated, population=replace(evaluated.population, strategy=strategy))
+
+
+def _with_guests(island: EvolutionState, guests: Population) -> EvolutionState:
+    """The island with other individuals in place of its last ones."""
+    stay = len(island.population) - len(guests)
+    return replace(island, population=slim(join(island.population[:stay], guests)))
 
 
 def emigrants(evaluated: Evaluated) -> Evaluated:

@@ -47,7 +47,8 @@ class EvolutionSettings:
     Attributes:
         population: Number of individuals, of each island.
         evaluate: How individuals are evaluated: `evaluator` runs all on all scenarios, `race` fewer
-            of them on more.
+            of them on more. With `race`, children differ in parameters rather than in structure as
+            soon as the best individual solves a scenario.
         selection: How parents are selected, `lexicase` or `tournament(rounds)`.
         fitness: The value of a rollout.
         crossover: How two parents become two children.
@@ -55,8 +56,7 @@ class EvolutionSettings:
         elite: Number of best individuals that are copied unchanged.
         newcomers: Number of individuals of each later population that are random graphs in place of
             children, so that the search leaves local optima (Grefenstette, "Genetic algorithms for
-            changing environments", PPSN 1992). With newcomers, children differ in parameters rather
-            than in structure as soon as the best individual solves a scenario.
+            changing environments", PPSN 1992).
         capacity: The largest number of nodes of a graph.
         initial_nodes: The fewest and most nodes of a first graph, before pruning.
         first_graphs: Draws random graphs, `random_graphs` or `varied_graphs`. With seeds, the

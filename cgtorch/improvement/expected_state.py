@@ -1,6 +1,5 @@
 """The state of a search for the best mean (`cgtorch.improvement.expected`), and its tensors."""
 
-from collections.abc import Iterable
 from dataclasses import astuple, dataclass, field, replace
 
 import torch
@@ -16,8 +15,8 @@ from cgtorch.improvement.spread import Need
 from cgtorch.improvement.tuning import Tuning
 
 RACING = 4  # the search plays so many times as many episodes as races
-CANDIDATES = 8
-END = -2  # of a kind, among the numbers of a tensor
+SHARE = 6  # tuning executes so many times as many actions as generations
+AHEAD = 5  # what wins races is tuned so many times as much as its rivals
 
 
 @dataclass(frozen=True)
@@ -26,19 +25,19 @@ class Spent:
 
     Attributes:
         generations: Generations so far.
-        bred: How many of them had new structures.
         transitions: Transitions of generations.
         searched: Actions that were executed in generations.
-        tuned: Actions that were executed in tuning, and in generations before that began.
+        tuned: Actions that were executed in `State.tuning`.
+        rivals: Actions that were executed in tuning rivals.
         episodes: Episodes of generations and of tuning.
         raced: Episodes of races.
     """
 
     generations: int = 0
-    bred: int = 0
     transitions: int = 0
     searched: int = 0
     tuned: int = 0
+    rivals: int = 0
     episodes: int = 0
     raced: int = 0
 
@@ -49,19 +48,20 @@ class State:
 
     Attributes:
         holder: The best skill so far; None before any finished an episode.
-        tuning: What is being tuned; None if that is to be chosen.
-        candidates: The latest lineage of each kind, the latest ones first.
-        settled: Whether it is a candidate's turn to be tuned, and not the holder's.
-        kinds: The kinds of candidates that were tuned, the latest last.
+        tuning: The tuning that has won the last race of one, or the first one; None if there is
+            none, or it is of no more use.
+        rivals: The tunings of other structures.
+        settled: Whether tuning the holder has been of no more use.
+        toll: What a transition was worth where values are mainly the lengths of episodes; else 0.
         need: The number of scenarios of the next generation.
         spent: What was spent so far.
     """
 
     holder: Holder | None = None
     tuning: Tuning | None = None
-    candidates: tuple[Tuning, ...] = ()
+    rivals: tuple[Tuning, ...] = ()
     settled: bool = False
-    kinds: tuple[tuple[int, ...], ...] = ()
+    toll: float = 0.0
     need: Need = field(default_factory=Need)
     spent: Spent = field(default_factory=Spent)
 
@@ -69,19 +69,25 @@ class State:
         """The state with the winner of a race as the holder."""
         if self.holder is None or holder.skill is self.holder.skill:
             return replace(self, holder=holder)
-        return replace(self, holder=holder, tuning=None, settled=False)
-
-    def with_candidates(self, latest: Iterable[Tuning]) -> "State":
-        """The state with further candidates, of which only the first of each kind stays."""
-        first: dict[tuple[int, ...], Tuning] = {}
-        for each in (*latest, *self.candidates):
-            first.setdefault(each.kind, each)
-        return replace(self, candidates=tuple(first.values())[:CANDIDATES])
+        return replace(self, holder=holder, settled=False)
 
     @property
     def longest(self) -> int:
         """The number of pairs that the next race may have."""
         return (self.spent.episodes // RACING - self.spent.raced) // 2
+
+    @property
+    def enough(self) -> bool:
+        """Whether as much was tuned as generations ask for."""
+        return self.spent.tuned + self.spent.rivals >= SHARE * self.spent.searched
+
+    @property
+    def behind(self) -> bool:
+        """Whether it is the turn of `tuning` to be updated, and not that of its rivals."""
+        if self.tuning is None or not self.rivals:
+            return self.tuning is not None
+        weight = AHEAD if self.tuning.winning else 1
+        return self.spent.tuned < weight * self.spent.rivals
 
 
 def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
@@ -90,10 +96,10 @@ def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
         "need": torch.tensor([state.need.scenarios, state.need.reliability], dtype=torch.float64),
         "spent": torch.tensor(astuple(state.spent)),
         "settled": torch.tensor(state.settled),
-        "kinds": torch.tensor([number for kind in state.kinds for number in (*kind, END)]).long(),
+        "toll": torch.tensor(state.toll, dtype=torch.float64),
     }
-    for number, candidate in enumerate(state.candidates):
-        found |= _tensors_of(f"candidate {number}", candidate)
+    for number, rival in enumerate(state.rivals):
+        found |= _tensors_of(f"rival {number}", rival)
     if state.tuning is not None:
         found |= _tensors_of("tuning", state.tuning)
     if state.holder is not None:
@@ -108,12 +114,15 @@ def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
 def _tensors_of(part: str, tuning: Tuning) -> dict[str, Tensor]:
     """The tensors of something that is tuned, or may be."""
     about = tuning.distribution
-    counts = about.updates, tuning.scenarios, tuning.lost, int(tuning.reliable)
+    counts = about.updates, tuning.scenarios, tuning.lost, tuning.reliable
     return {
         **population_tensors(part, _alone(tuning.graph)),
         **{f"{part}.{name}": getattr(about, name) for name in VECTORS},
         f"{part}.step": torch.tensor(about.step, dtype=torch.float64),
         f"{part}.counts": torch.tensor(counts),
+        f"{part}.recent": torch.tensor(
+            [tuning.toll, tuning.mark, *tuning.recent], dtype=torch.float64
+        ),
     }
 
 
@@ -125,7 +134,8 @@ def _from_tensors(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> 
     vectors = {name: tensors[f"{part}.{name}"] for name in VECTORS}
     about = Distribution(step=float(tensors[f"{part}.step"]), updates=updates, **vectors)
     graph = population_named(part, tensors, actions)[:1].graphs
-    return Tuning(graph, about, scenarios, lost, bool(reliable))
+    toll, mark, *recent = tensors[f"{part}.recent"].tolist()
+    return Tuning(graph, about, scenarios, toll, lost, bool(reliable), tuple(recent), mark)
 
 
 def state_from_tensors(
@@ -137,15 +147,15 @@ def state_from_tensors(
     """
     with damage():
         scenarios, reliability = tensors["need"].tolist()
-        numbers = range(CANDIDATES)
-        candidates = [_from_tensors(f"candidate {i}", tensors, actions) for i in numbers]
+        count = sum(name.startswith("rival ") and name.endswith(".step") for name in tensors)
+        rivals = [_from_tensors(f"rival {i}", tensors, actions) for i in range(count)]
         state = State(
             need=Need(int(scenarios), reliability),
             spent=Spent(*tensors["spent"].tolist()),
             settled=bool(tensors["settled"]),
             tuning=_from_tensors("tuning", tensors, actions),
-            candidates=tuple(each for each in candidates if each is not None),
-            kinds=_kinds(tensors["kinds"].tolist()),
+            rivals=tuple(each for each in rivals if each is not None),
+            toll=float(tensors["toll"]),
         )
         if "sums" not in tensors:
             return state
@@ -157,19 +167,6 @@ def state_from_tensors(
             raise ValueError("it has a holder that is not there")
         total, squares, count = tensors["sums"].tolist()
         return replace(state, holder=Holder(skill, total, squares, int(count)))
-
-
-def _kinds(numbers: list[int]) -> tuple[tuple[int, ...], ...]:
-    """The kinds in a list of numbers, where each of them is followed by `END`."""
-    found: list[tuple[int, ...]] = []
-    kind: list[int] = []
-    for number in numbers:
-        if number == END:
-            found.append(tuple(kind))
-            kind = []
-        else:
-            kind.append(number)
-    return tuple(found)
 
 
 def _alone(graph: Graphs) -> Population:

@@ -16,7 +16,7 @@ from cgtorch.graphs import ActionSet, Graphs, Skill
 from cgtorch.ground.environment import Environment
 from cgtorch.simulation import rollout
 
-FIRST, FEWEST = 8, 64  # pairs of the first look, and of the first that can decide for a challenger
+FIRST = 8  # pairs of the first look
 SURE, AT_LAST = 3.0, 1.64  # standard errors by which it has to be better, and after the last pair
 MANY = 512  # pairs from which that is enough after the last
 HOPELESS = 1.0  # standard errors below the holder at which it gives up
@@ -76,19 +76,24 @@ class Fresh:
     episodes: int = 0
     executed: int = 0
 
-    def values(self, graphs: Graphs, actions: ActionSet, world: Environment) -> Tensor:
-        """(P, B) what counts of P graphs: the returns, or whether they succeed."""
+    def played(
+        self, graphs: Graphs, actions: ActionSet, world: Environment
+    ) -> tuple[Tensor, Tensor]:
+        """(P, B) what counts of P graphs, and (P, B) the transitions of their episodes.
+
+        What counts are the returns, or whether they succeed.
+        """
         runs = rollout(graphs, actions, world, max_transitions=self.max_transitions)
         self.episodes += runs.succeeded.numel()
         self.executed += runs.executed
-        return runs.succeeded.float() if runs.returns is None else runs.returns
+        return runs.succeeded.float() if runs.returns is None else runs.returns, runs.transitions
 
     def of_skills(self, skills: Sequence[Skill], count: int, generator: Generator) -> Tensor:
         """(K, count) the values of K skills on the same fresh scenarios."""
         parts = []
         for begin in range(0, count, MOST_AT_ONCE):
             world = self.world(min(MOST_AT_ONCE, count - begin), generator)
-            rows = [self.values(each.graph, each.actions, world) for each in skills]
+            rows = [self.played(each.graph, each.actions, world)[0] for each in skills]
             parts.append(torch.cat(rows))
         return torch.cat(parts, 1)
 
@@ -100,10 +105,10 @@ def paired_race(
 
     Their number doubles until the challenger is surely better, or hopeless. The holder stays where
     that remains open. Its values do not count for its mean, as it stays more often where it was
-    lucky.
+    lucky. Of few pairs, the gain has to be larger (`student`).
     """
     own, others, size = torch.zeros(0), torch.zeros(0), FIRST
-    longest = max(longest, FEWEST)
+    longest = max(longest, FIRST)
     while True:
         old, new = fresh.of_skills([holder.skill, challenger], size, generator)
         own, others = torch.cat([own, old]), torch.cat([others, new])
@@ -114,11 +119,23 @@ def paired_race(
         gain = (others - own).double()
         mean, error, last = float(gain.mean()), _error(gain), len(gain) >= longest
         enough = AT_LAST if last and len(gain) >= MANY else SURE
-        if len(gain) >= FEWEST and mean > enough * error:
+        if mean > student(enough, len(gain) - 1) * error:
             return Holder(challenger)
         if last or (len(gain) > FIRST and mean < -HOPELESS * error):
             return holder
         size = min(len(gain), longest - len(gain))
+
+
+def student(deviations: float, freedom: int) -> float:
+    """The quantile of Student's t distribution for that of a normal one, in standard deviations.
+
+    Terms of the expansion of Abramowitz and Stegun, Handbook of Mathematical Functions, 26.7.5.
+    """
+    z, square = deviations, deviations * deviations
+    first = z * (square + 1) / 4
+    second = z * (5 * square * square + 16 * square + 3) / 96
+    third = z * (3 * square**3 + 19 * square * square + 17 * square - 15) / 384
+    return z + first / freedom + second / freedom**2 + third / freedom**3
 
 
 def _error(values: Tensor) -> float:

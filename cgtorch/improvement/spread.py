@@ -6,9 +6,9 @@ from torch import Tensor
 
 from cgtorch.evolution.fitness import WORTHLESS
 
-FEWEST, MOST = 4, 256  # scenarios of a generation of a search
+FEWEST, MOST = 2, 256  # scenarios of a generation of a search
 FEW, MANY = 0.3, 0.6  # reliability below which there will be more scenarios, and above which fewer
-MEMORY = 0.8  # weight of the past in the smoothed reliability
+MEMORY = 0.7  # weight of the past in the smoothed reliability
 ENOUGH = 4  # individuals to measure it
 
 
@@ -25,7 +25,7 @@ class Need:
         smooth = MEMORY * self.reliability + (1 - MEMORY) * now
         count = self.scenarios
         if smooth < FEW:
-            count = max(count, min(MOST, most, -(-count * 6 // 5)))
+            count = max(count, min(MOST, most, -(-count * 3 // 2)))
         elif smooth > MANY:
             count = max(FEWEST, count * 4 // 5)
         return Need(count, smooth)

@@ -1,5 +1,6 @@
 """Tuning the parameters of a graph by CMA-ES, for as long as its mean wins races."""
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -13,16 +14,22 @@ from cgtorch.evolution.cma import (
     usual_count,
 )
 from cgtorch.evolution.fitness import WORST
-from cgtorch.evolution.lineages import Lineage, tunable
+from cgtorch.evolution.lineages import tunable
 from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.spread import MANY, reliability
 
 MOST = 2048  # scenarios of an update
-CAREFUL = 0.5  # first steps, as a multiple of those of new structures
-EVERY = 10  # updates between two races of the mean
+MOST_FULL = 64  # parameters of which covariances are learned, as there are few updates
+SAMPLES = 20  # of an update at least, as luck is in what they are worth
+FEW = 8  # random parameters from which none is better
+EVERY = 5  # updates between two races of the mean
 LONG = 150  # updates, before which a tuning goes on if samples can be told apart
-PATIENCE = 3  # races lost in a row after which there are twice as many scenarios
+PATIENCE = 6  # races lost in a row after which there are twice as many scenarios
+DOUBTFUL = 4  # races lost in a row after which a tuning is no longer preferred to others
+PROGRESS = 0.1  # relative improvement of samples that counts
+RECENT = 4  # updates by which tunings are compared
+FIRM, EXACT = 0.5, 0.99  # shares of the variance of values that lengths of episodes explain
 
 
 @dataclass(frozen=True, eq=False)  # as tensors have no single truth value
@@ -33,15 +40,24 @@ class Tuning:
         graph: The graph, a single one.
         distribution: The distribution of its parameters.
         scenarios: Number of fresh scenarios of an update.
+        toll: What each transition takes from the value of an episode. It is above 0 where values
+            are mainly the lengths of episodes, so that a skill that does nothing for long is worth
+            no more than one that fails early (Mania et al., "Simple random search provides a
+            competitive approach to reinforcement learning", 2018, section 4.1).
         lost: Races that the mean has lost in a row.
         reliable: Whether samples of the last update could be told apart.
+        recent: The mean values of the better half of samples, in each of the last updates.
+        mark: The level when races were last lost in a row.
     """
 
     graph: Graphs
     distribution: Distribution
     scenarios: int
+    toll: float = 0.0
     lost: int = 0
     reliable: bool = False
+    recent: tuple[float, ...] = ()
+    mark: float = -math.inf
 
     def mean(self, actions: ActionSet) -> Graphs:
         """The graph with the mean of the distribution as its parameters."""
@@ -52,15 +68,33 @@ class Tuning:
         """The tuning after a race of its mean."""
         return replace(self, lost=0 if won else self.lost + 1)
 
+    def moved(self, graph: Graphs, actions: ActionSet) -> "Tuning":
+        """The tuning with the parameters of a graph as its mean, if that has the same nodes."""
+        names = "action", "edges", "start"
+        if not all(torch.equal(getattr(self.graph, name), getattr(graph, name)) for name in names):
+            return self
+        mean = graph.parameters[0][tunable(graph, actions)].double()
+        return replace(self, lost=0, distribution=replace(self.distribution, mean=mean))
+
     @property
     def kind(self) -> tuple[int, ...]:
         """The actions of the nodes, sorted."""
         return tuple(sorted(self.graph.action[0].tolist()))
 
     @property
+    def level(self) -> float:
+        """The mean of `recent`, -inf before the first update."""
+        return sum(self.recent) / len(self.recent) if self.recent else -math.inf
+
+    @property
     def due(self) -> bool:
         """Whether it is time for a race of the mean."""
         return self.distribution.updates % EVERY == 0
+
+    @property
+    def winning(self) -> bool:
+        """Whether the mean has won a race lately, or has not had the time to."""
+        return self.lost < DOUBTFUL
 
     @property
     def stalled(self) -> bool:
@@ -70,40 +104,79 @@ class Tuning:
     def more(self) -> "Tuning | None":
         """The tuning after it has stalled, with twice as many scenarios if luck hides differences.
 
-        None where neither these nor further updates would help.
+        While its samples become better, it goes on as it is. None where neither further scenarios
+        nor further updates would help.
         """
+        after = replace(self, lost=0, mark=max(self.mark, self.level))
+        if self.level > self.mark + PROGRESS * min(abs(self.mark), 1e9):
+            return after
         if self.reliable:
-            return replace(self, lost=0) if self.distribution.updates < LONG else None
+            return after if self.distribution.updates < LONG else None
         if self.scenarios >= MOST:
             return None
-        return replace(self, lost=0, scenarios=min(MOST, 2 * self.scenarios))
+        return replace(after, scenarios=min(MOST, 2 * self.scenarios))
 
 
-def begun(graph: Graphs, actions: ActionSet, scenarios: int) -> Tuning | None:
-    """The tuning of a graph; None if it has no parameters."""
+def begun(graph: Graphs, actions: ActionSet, scenarios: int, toll: float = 0.0) -> Tuning | None:
+    """The tuning of a graph; None if it has no parameters.
+
+    The first steps are the smaller the more parameters there are, so that what all of them change
+    together has the same size.
+    """
     where = tunable(graph, actions)
     if not where.any():
         return None
-    steps = CAREFUL * torch.tensor([action.first_step for action in actions.actions])
+    steps = torch.tensor([action.first_step for action in actions.actions])
     deviation = steps[graph.action[0]][:, None].expand(where.shape)[where]
-    distribution = initial_distribution(graph.parameters[0][where], deviation)
-    return Tuning(graph, distribution, scenarios)
+    deviation = deviation / math.sqrt(len(deviation))
+    mean = graph.parameters[0][where]
+    return Tuning(graph, initial_distribution(mean, deviation, MOST_FULL), scenarios, toll)
 
 
-def continued(lineage: Lineage) -> Tuning:
-    """A tuning of a lineage's graph that may begin, with its distribution."""
-    return Tuning(lineage.best.graphs, lineage.distribution, 0)
+def calmed(graph: Graphs, actions: ActionSet) -> Graphs:
+    """A random graph without its parameters if there are many, which chance has not chosen well."""
+    if int(tunable(graph, actions).sum()) < FEW:
+        return graph
+    return replace(graph, parameters=torch.zeros_like(graph.parameters))
 
 
-def update(tuning: Tuning, actions: ActionSet, fresh: Fresh, generator: Generator) -> Tuning:
-    """The tuning after one update by samples, which meet the same fresh scenarios."""
-    where, count = tunable(tuning.graph, actions), usual_count(len(tuning.distribution.mean))
+def update(
+    tuning: Tuning, actions: ActionSet, fresh: Fresh, generator: Generator
+) -> tuple[Tuning, float]:
+    """The tuning after one update by samples, which meet the same fresh scenarios.
+
+    Returned is also what a transition was worth in them (`worth_of_transitions`).
+    """
+    where = tunable(tuning.graph, actions)
+    count = max(SAMPLES, usual_count(len(tuning.distribution.mean)))
     drawn = sampled(tuning.distribution, count, generator)
     graphs = with_parameters(tuning.graph, where, drawn)
-    values = fresh.values(graphs, actions, fresh.world(tuning.scenarios, generator))
-    values = torch.nan_to_num(values, nan=WORST, neginf=WORST).clamp_min(WORST)
-    distribution = updated(tuning.distribution, drawn, values.double().mean(1))
-    return replace(tuning, distribution=distribution, reliable=reliability(values) > MANY)
+    values, lengths = fresh.played(graphs, actions, fresh.world(tuning.scenarios, generator))
+    values = torch.nan_to_num(values, nan=WORST, neginf=WORST).clamp_min(WORST).double()
+    worth = (values - tuning.toll * lengths).mean(1)
+    distribution = updated(tuning.distribution, drawn, worth)
+    better = values.mean(1).sort(descending=True).values[: max(1, count // 2)]
+    after = replace(
+        tuning,
+        distribution=distribution,
+        reliable=tuning.scenarios > 1 and reliability(values) > MANY,
+        recent=(*tuning.recent, float(better.mean()))[-RECENT:],
+    )
+    return after, worth_of_transitions(values, lengths)
+
+
+def worth_of_transitions(values: Tensor, lengths: Tensor) -> float:
+    """By how much values (P, B) grow with a transition more, given the lengths (P, B) of episodes.
+
+    It is 0 where they do not grow, where lengths explain less than half of the values' variance, or
+    where they explain all of it.
+    """
+    x, y = lengths.double().flatten(), values.double().flatten()
+    x, y = x - x.mean(), y - y.mean()
+    both, long, large = float(x @ y), float(x @ x), float(y @ y)
+    if both <= 0 or not FIRM <= both * both / (long * large) <= EXACT:
+        return 0.0
+    return both / long
 
 
 def with_parameters(graph: Graphs, where: Tensor, parameters: Tensor) -> Graphs:

@@ -21,8 +21,7 @@ from cgtorch.evolution import (
     tell,
 )
 from cgtorch.evolution.operators import crossover
-from cgtorch.evolution.population import random_graphs
-from cgtorch.evolution.search import RARELY
+from cgtorch.evolution.population import random_graphs, random_population
 from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned, widened
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import Rollouts, rollout
@@ -244,17 +243,27 @@ def test_newcomers_are_random_graphs_in_place_of_children(newcomers: int) -> Non
     assert torch.allclose(seeded_ones[15:], torch.tensor(0.4))
 
 
-def test_an_evolution_settles_where_something_is_solved() -> None:
-    """Children differ in parameters rather than in structure then, and newcomers as before."""
-    settings = replace(SMALL, newcomers=12, strategy=(0.9,) * 7 + (0.5,))
-    first, second = islice(evolve(model(0, 5), ACTIONS, settings, seeded(0)), 2)
-    assert first.succeeded.any()
-    strategies = second.population.strategy
-    assert (strategies[:, 0] < 3 * RARELY).sum() == 30 - 12
-    assert (strategies[:, 6] > 3 * RARELY).all()
-    never = replace(settings, newcomers=0)
-    second = list(islice(evolve(model(0, 5), ACTIONS, never, seeded(0)), 2))[1]
-    assert (second.population.strategy[:, 0] > 3 * RARELY).all()
+def test_guests_take_the_places_of_the_last_individuals() -> None:
+    guest = random_population(2, ACTIONS, 6, (1, 2), seeded(5))
+    asked = list[int]()
+
+    def guests() -> Population | None:
+        asked.append(1)
+        return guest if len(asked) == 2 else None
+
+    generations = evolve(model(0, 5), ACTIONS, SMALL, seeded(0), guests=guests)
+    usual = evolve(model(0, 5), ACTIONS, SMALL, seeded(0))
+    for number, (one, other) in enumerate(islice(zip(generations, usual, strict=True), 3)):
+        graphs, size = one.population.graphs, len(other.population)
+        assert len(graphs) == size
+        assert len(asked) == number
+        if number < 2:
+            assert same(one.population.graphs, other.population.graphs)
+        else:
+            wide = widened(guest.graphs, graphs.capacity)
+            assert torch.equal(graphs.action[-2:], wide.action)
+            rest = widened(other.population.graphs, graphs.capacity)
+            assert torch.equal(graphs.action[:-2], rest.action[:-2])
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from support import seeded
 from torch import Generator
 
 from cgtorch.graphs import Skill
-from cgtorch.improvement.paired_race import FEWEST, FIRST, Fresh, Holder, paired_race
+from cgtorch.improvement.paired_race import FIRST, Fresh, Holder, paired_race, student
 
 BEST, GOOD, BAD = staking(1.0), staking(0.9), staking(0.0, 1.0)
 """Skills that win 90, 87.5 and 40 % of their tickets."""
@@ -54,7 +54,7 @@ def winners(holder: Skill, challenger: Skill, longest: int, races: int = 60) -> 
         for number, place in enumerate(places)
     ]
     for place, winner in zip(places, found, strict=True):
-        assert place.episodes <= 2 * max(longest, FEWEST)
+        assert place.episodes <= 2 * max(longest, FIRST)
         # The holder stays more often where it was lucky, so these values do not count.
         assert winner == Holder(winner.skill)
     return sum(winner.skill is challenger for winner in found)
@@ -83,3 +83,24 @@ def test_the_hopeless_end_a_race_early() -> None:
 def test_who_does_not_finish_an_episode_loses() -> None:
     assert paired_race(fresh(paid=True), Holder(BAD), idle(), 10**4, seeded(0)).skill is BAD
     assert paired_race(fresh(paid=True), Holder(idle()), BAD, 10**4, seeded(0)).skill is BAD
+
+
+def test_few_pairs_have_to_differ_more() -> None:
+    """Quantiles of Student's t distribution as tables have them."""
+    for freedom, wanted in ((7, 4.53), (15, 3.59), (31, 3.26), (10**6, 3.0)):
+        assert student(3.0, freedom) == pytest.approx(wanted, abs=0.05)
+    assert student(1.6449, 9) == pytest.approx(1.833, abs=0.001)
+
+
+def test_what_is_played_tells_how_long_episodes_are() -> None:
+    place = fresh()
+    graphs = BEST.graph[torch.zeros(2, dtype=torch.long)]
+    values, lengths = place.played(graphs, BEST.actions, place.world(50, seeded(0)))
+    assert values.shape == lengths.shape == (2, 50)
+    assert lengths.tolist() == [[1] * 50] * 2
+
+
+def test_a_clear_difference_is_decided_after_few_pairs() -> None:
+    place = fresh(paid=True)
+    assert paired_race(place, Holder(BAD), BEST, 8 * FIRST, seeded(3)).skill is BEST
+    assert place.episodes < 2 * 8 * FIRST

@@ -1,0 +1,212 @@
+"""The steps of a search for the best mean, from one state to the next.
+
+After each generation its champion challenges the holder, and the parameters of the best individuals
+are tuned, whose means challenge the holder, too. See `cgtorch.improvement.expected`.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Generator
+
+from cgtorch.evolution import Generation, Population
+from cgtorch.evolution.population import initial_strategy, join
+from cgtorch.evolution.selection import ranking
+from cgtorch.graphs import Graphs, Skill, compacted, merged
+from cgtorch.improvement.expected_state import State
+from cgtorch.improvement.paired_race import Fresh, Holder, paired_race
+from cgtorch.improvement.rivals import compared, first_rivals, halved, next_rival, simplest
+from cgtorch.improvement.setup import Setup
+from cgtorch.improvement.spread import FEWEST
+from cgtorch.improvement.tuning import Tuning, begun, update
+
+OFTEN = 5  # generations after which the mean of a holder that stays is known better
+LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
+KNOWN = 16  # values of the holder from which its mean is compared with the target
+TRIED, CERTAIN = 100, 2.0  # values with which it has to hold, by so many standard errors
+
+
+@dataclass(frozen=True)
+class MeanSearch:
+    """The constant parts of a search."""
+
+    setup: Setup[Any]
+    fresh: Fresh
+
+    def skill_of(self, graphs: Graphs) -> Skill:
+        """The skill of a single graph."""
+        setup = self.setup
+        return Skill(setup.name, merged(compacted(graphs)), setup.actions, setup.max_transitions)
+
+    def after(self, state: State, generation: Generation, generator: Generator) -> Iterator[State]:
+        """The states after a generation: its champion has raced, then after each update.
+
+        It ends before enough was tuned where the holder may have reached the target.
+        """
+        spent = state.spent
+        spent = replace(
+            spent,
+            generations=spent.generations + 1,
+            transitions=spent.transitions + generation.transitions,
+            searched=spent.searched + generation.executed,
+            episodes=spent.episodes + generation.scores.numel(),
+        )
+        most = spent.episodes // (LARGEST * len(generation.scores))
+        state = replace(state, need=state.need.after(generation.scores, most), spent=spent)
+        state = self._champion_raced(state, generation, generator)
+        state = self._met(state, generation.number, generator)
+        if not state.rivals:
+            state = self._with_rivals(state, generation)
+        yield state
+        while not state.enough and not self._promising(state):
+            if state.tuning is None:
+                state = replace(state, tuning=self._tuning(state))
+            if state.behind:
+                state = self._holder_tuned(state, generator)
+            elif state.rivals:
+                state = self._rival_tuned(state, generator)
+            else:
+                break
+            state = self._met(state, 1, generator)
+            yield state
+
+    def _promising(self, state: State) -> bool:
+        """Whether the mean of the holder, as far as it is known, has reached the target."""
+        holder = state.holder
+        if holder is None or holder.count < KNOWN:
+            return False
+        return holder.mean >= self.setup.budget.satisfied
+
+    def _champion_raced(self, state: State, generation: Generation, generator: Generator) -> State:
+        """The state after a race of the champion, from which tuning goes on if it has its nodes."""
+        champion, tuning = self.skill_of(generation.champion.graphs), state.tuning
+        state, won = self._raced(state, champion, generator)
+        if not won or tuning is None:
+            return state
+        return replace(state, tuning=tuning.moved(champion.graph, self.setup.actions))
+
+    def guests(self, state: State) -> Population | None:
+        """What is being tuned, as individuals of the next generation."""
+        tuned = [each for each in (state.tuning, *state.rivals) if each is not None]
+        if not tuned:
+            return None
+        alone = (each.mean(self.setup.actions) for each in tuned)
+        return join(*(Population(each, initial_strategy(1)) for each in alone))
+
+    def _with_rivals(self, state: State, generation: Generation) -> State:
+        """The state with first rivals, of individuals of a generation that are not being tuned.
+
+        The simplest of the very first is tuned in front of the others.
+        """
+        population, fitness = generation.population, generation.fitness
+        place, newcomers = torch.arange(len(fitness)), self.setup.evolution.newcomers
+        random = place >= (len(fitness) - newcomers if generation.number else 0)
+        order = ranking(fitness, population.graphs)
+        order = order[order < len(fitness) - (state.tuning is not None)]
+        about = population, fitness, order, random, self.setup.evolution.lineages
+        actions = self.setup.actions
+        rivals = first_rivals(*about, actions, state.need.scenarios // FEWEST)
+        if generation.number or not rivals:
+            return replace(state, rivals=rivals)
+        first = simplest(rivals, actions)
+        return replace(state, tuning=first, rivals=tuple(r for r in rivals if r is not first))
+
+    def _met(self, state: State, number: int, generator: Generator) -> State:
+        """The state with further values of the holder, at once if it is new, else now and then."""
+        holder = state.holder
+        if holder is None or (number % OFTEN and holder.count):
+            return state
+        count = max(KNOWN, state.need.scenarios)
+        values = self.fresh.of_skills([holder.skill], count, generator)[0]
+        return replace(state, holder=holder.met(values))
+
+    def _raced(self, state: State, challenger: Skill, generator: Generator) -> tuple[State, bool]:
+        """The state after a race, and whether the challenger has won it."""
+        if state.holder is None:
+            values = self.fresh.of_skills([challenger], FEWEST, generator)
+            finite = bool(values.isfinite().all())
+            return (state.held_by(Holder(challenger)) if finite else state), finite
+        before = self.fresh.episodes
+        winner = paired_race(self.fresh, state.holder, challenger, state.longest, generator)
+        raced = state.spent.raced + self.fresh.episodes - before
+        state = replace(state, spent=replace(state.spent, raced=raced))
+        return state.held_by(winner), winner.skill is challenger
+
+    def _tuning(self, state: State) -> Tuning | None:
+        """The first tuning of the holder; None if that is of no use."""
+        holder, actions = state.holder, self.setup.actions
+        if state.settled or holder is None or holder.skill.actions is not actions:
+            return None
+        return begun(holder.skill.graph, actions, state.need.scenarios // FEWEST)
+
+    def _updated(
+        self, state: State, tuning: Tuning, generator: Generator
+    ) -> tuple[State, Tuning, int, int]:
+        """A tuning after an update, and the episodes and actions that this took."""
+        before = self.fresh.episodes, self.fresh.executed
+        tuning, worth = update(tuning, self.setup.actions, self.fresh, generator)
+        episodes = self.fresh.episodes - before[0]
+        spent = replace(state.spent, episodes=state.spent.episodes + episodes)
+        state = replace(state, spent=spent, toll=state.toll or worth)
+        return state, tuning, episodes, self.fresh.executed - before[1]
+
+    def _mean_raced(
+        self, state: State, tuning: Tuning, generator: Generator
+    ) -> tuple[State, Tuning, bool]:
+        """The state after a race of the mean of a tuning, and whether that has won."""
+        setup = self.setup
+        mean = Skill(setup.name, tuning.mean(setup.actions), setup.actions, setup.max_transitions)
+        state, won = self._raced(state, mean, generator)
+        return state, tuning.raced(won), won
+
+    def _holder_tuned(self, state: State, generator: Generator) -> State:
+        """The state after an update of the holder's tuning, and a race of its mean if it is due."""
+        assert state.tuning is not None  # noqa: S101  it is what is behind
+        state, tuning, episodes, executed = self._updated(state, state.tuning, generator)
+        state = replace(state, spent=replace(state.spent, tuned=state.spent.tuned + executed))
+        if not tuning.due:
+            return replace(state, tuning=tuning)
+        state, tuning, won = self._mean_raced(state, tuning, generator)
+        if not won and tuning.lost == 2:
+            state = replace(state, rivals=self._with_other_toll(state, tuning))
+        if not tuning.stalled:
+            return replace(state, tuning=tuning)
+        more = tuning.more() if LARGEST * episodes <= state.spent.episodes else None
+        return replace(state, tuning=more, settled=more is None)
+
+    def _with_other_toll(self, state: State, tuning: Tuning) -> tuple[Tuning, ...]:
+        """The rivals, with a new tuning of the same graph under another toll, if one is known."""
+        actions, rivals = self.setup.actions, state.rivals
+        toll = 0.0 if tuning.toll else state.toll
+        if toll == tuning.toll or any(each.toll for each in rivals):
+            return rivals
+        other = begun(tuning.graph, actions, tuning.scenarios, toll)
+        return rivals if other is None else (*rivals, other)
+
+    def _rival_tuned(self, state: State, generator: Generator) -> State:
+        """The state after an update of a rival, and a race of its mean if that is due."""
+        place = next_rival(state.rivals)
+        state, rival, _, executed = self._updated(state, state.rivals[place], generator)
+        state = replace(state, spent=replace(state.spent, rivals=state.spent.rivals + executed))
+        every = (*state.rivals[:place], rival, *state.rivals[place + 1 :])
+        state = replace(state, rivals=halved(every))
+        if not rival.due or all(each is not rival for each in state.rivals):
+            return state
+        if compared(state.rivals) and not rival.toll:
+            return state
+        others = tuple(each for each in state.rivals if each is not rival)
+        state, rival, won = self._mean_raced(state, rival, generator)
+        if won:
+            return replace(state, tuning=rival, rivals=others)
+        return replace(state, rivals=others if rival.stalled else (*others, rival))
+
+    def certain(self, state: State, generator: Generator) -> tuple[State, bool]:
+        """The state with a mean that is known better, and whether it is at least the target."""
+        holder, target = state.holder, self.setup.budget.satisfied
+        if holder is None or not self._promising(state):
+            return state, False
+        if (missing := TRIED - holder.count) > 0:
+            holder = holder.met(self.fresh.of_skills([holder.skill], missing, generator)[0])
+        return replace(state, holder=holder), holder.mean - CERTAIN * holder.error >= target

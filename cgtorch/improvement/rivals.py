@@ -1,0 +1,85 @@
+"""Rivals of the best skill: other structures, whose parameters are tuned side by side.
+
+The best individuals of a generation become rivals, those of different kinds first. All have equally
+many updates. After each of `RUNGS` the better half goes on (successive halving: Jamieson and
+Talwalkar, "Non-stochastic best arm identification and hyperparameter optimization", AISTATS 2016),
+until one is left, which goes on for as long as its mean does not lose races in a row.
+"""
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from cgtorch.evolution import Population
+from cgtorch.evolution.fitness import WORTHLESS
+from cgtorch.evolution.population import slim
+from cgtorch.graphs import ActionSet, compacted
+from cgtorch.improvement.tuning import Tuning, begun, calmed
+
+RUNGS = (5, 15)  # updates after which the worse half of the rivals ends
+SEVERAL = 8  # individuals considered for each rival
+
+
+def first_rivals(
+    population: Population,
+    fitness: Tensor,
+    order: Tensor,
+    random: Tensor,
+    count: int,
+    actions: ActionSet,
+    scenarios: int,
+) -> tuple[Tuning, ...]:
+    """Up to `count` rivals of the P individuals with this fitness (P,), the best ones first.
+
+    Args:
+        population: The individuals.
+        fitness: (P,), of which those that did not finish an episode become no rivals.
+        order: The individuals to consider, the best one first.
+        random: (P,) bool, which of them are random graphs, whose parameters nothing has chosen.
+        count: The largest number of rivals.
+        actions: What nodes can do.
+        scenarios: Number of fresh scenarios of an update.
+    """
+    found: list[Tuning] = []
+    for row in order.tolist():
+        if len(found) == SEVERAL * count or float(fitness[row]) < WORTHLESS:
+            break
+        one = population[row : row + 1]
+        graph = slim(Population(compacted(one.graphs), one.strategy)).graphs
+        graph = calmed(graph, actions) if random[row] else graph
+        if (tuning := begun(graph, actions, scenarios)) is not None:
+            found.append(tuning)
+    first = {each.kind: each for each in reversed(found)}.values()
+    found.sort(key=lambda each: all(each is not one for one in first))
+    return tuple(found[:count])
+
+
+def halved(rivals: Sequence[Tuning]) -> tuple[Tuning, ...]:
+    """The rivals that go on once all have equally many updates; those with a toll do anyway."""
+    usual = [each for each in rivals if not each.toll]
+    updates = {each.distribution.updates for each in usual}
+    if not compared(rivals) or len(updates) > 1 or not updates & set(RUNGS):
+        return tuple(rivals)
+    best = sorted(usual, key=lambda each: -each.level)[: -(-len(usual) // 2)]
+    return tuple(each for each in rivals if each.toll or any(each is one for one in best))
+
+
+def compared(rivals: Sequence[Tuning]) -> bool:
+    """Whether there are several rivals of which one will be left."""
+    return sum(not each.toll for each in rivals) > 1
+
+
+def next_rival(rivals: Sequence[Tuning]) -> int:
+    """The place of the rival that is updated next, the one with the fewest updates."""
+    return min(range(len(rivals)), key=lambda place: rivals[place].distribution.updates)
+
+
+def simplest(rivals: Sequence[Tuning], actions: ActionSet) -> Tuning:
+    """The rival with the least memory, and of these that with the fewest parameters."""
+
+    def size(rival: Tuning) -> tuple[int, int]:
+        used = rival.graph.action[0].unique()
+        memory = sum(actions.actions[place].memory_size for place in used[used >= 0].tolist())
+        return memory, len(rival.distribution.mean)
+
+    return min(rivals, key=size)

@@ -1,0 +1,88 @@
+"""Rivals of the best skill are compared at equally many updates, the worse half ends."""
+
+from dataclasses import replace
+
+import torch
+from lottery import ACTIONS, idle, staking
+from support import same
+from torch import Tensor
+
+from cgtorch.evolution import Population
+from cgtorch.evolution.fitness import WORST
+from cgtorch.evolution.population import initial_strategy
+from cgtorch.graphs import ActionSet, Graphs, LinearNN, RecurrentNN, concatenate
+from cgtorch.improvement.rivals import (
+    RUNGS,
+    compared,
+    first_rivals,
+    halved,
+    next_rival,
+    simplest,
+)
+from cgtorch.improvement.tuning import Tuning, begun
+
+
+def tuning(level: float, updates: int, toll: float = 0.0) -> Tuning:
+    """A tuning of one kind that has come to this level after so many updates."""
+    found = begun(staking(level).graph, ACTIONS, 1, toll)
+    assert found is not None
+    distribution = replace(found.distribution, updates=updates)
+    return replace(found, distribution=distribution, recent=(level,))
+
+
+def firsts(graphs: list[Graphs], fitness: list[float], count: int, random: Tensor) -> list[Graphs]:
+    """The graphs of the first rivals of these individuals."""
+    population = Population(concatenate(graphs), initial_strategy(len(graphs)))
+    worth = torch.tensor(fitness)
+    order = worth.argsort(descending=True)
+    found = first_rivals(population, worth, order, random, count, ACTIONS, 7)
+    assert {each.scenarios for each in found} <= {7}
+    return [each.graph for each in found]
+
+
+def test_the_best_with_parameters_become_rivals_and_not_who_finishes_nothing() -> None:
+    graphs = [staking(0.1).graph, idle().graph, staking(0.2).graph, staking(0.3).graph]
+    nobody = torch.zeros(4, dtype=torch.bool)
+    found = firsts(graphs, [1.0, 9.0, 3.0, 2.0], 2, nobody)
+    assert [float(each.parameters[0, 0, 0]) for each in found] == torch.tensor([0.2, 0.3]).tolist()
+    assert len(firsts(graphs, [1.0, 9.0, WORST, 2.0], 9, nobody)) == 2
+
+
+def test_the_worse_half_ends_at_each_rung_and_those_with_a_toll_go_on() -> None:
+    levels = [1.0, 4.0, 2.0, 3.0]
+    rivals = [*(tuning(level, RUNGS[0]) for level in levels), tuning(0.0, 2, toll=1.0)]
+    assert [each.level for each in halved(rivals)] == [4, 3, 0]
+    later = [tuning(1.0, RUNGS[0] + 1), tuning(2.0, RUNGS[0] + 1)]
+    assert len(halved(later)) == 2
+    unequal = [tuning(1.0, RUNGS[0]), tuning(2.0, RUNGS[0] - 1)]
+    assert len(halved(unequal)) == 2
+    assert [each.level for each in halved([tuning(1.0, RUNGS[1]), tuning(2.0, RUNGS[1])])] == [2]
+    assert len(halved([tuning(1.0, RUNGS[1])])) == 1
+
+
+def test_the_one_with_the_fewest_updates_is_next_and_several_are_compared() -> None:
+    rivals = [tuning(1.0, 4), tuning(2.0, 3), tuning(3.0, 3)]
+    assert next_rival(rivals) == 1
+    assert compared(rivals)
+    assert not compared([rivals[0], tuning(1.0, 1, toll=2.0)])
+    assert not compared([])
+
+
+def test_the_simplest_has_no_memory_and_few_parameters() -> None:
+    actions = ActionSet(
+        ("Small", "Large", "Recur"), (LinearNN(3, 1), LinearNN(9, 1), RecurrentNN(1, 1, 1))
+    )
+    graph = replace(staking(1.0).graph, parameters=torch.ones(1, 1, actions.parameter_capacity))
+    every = [
+        begun(replace(graph, action=torch.tensor([[action]])), actions, 1) for action in (2, 1, 0)
+    ]
+    rivals = [each for each in every if each is not None]
+    assert simplest(rivals, actions) is rivals[2]
+    assert simplest(rivals[:2], actions) is rivals[1]
+
+
+def test_chosen_parameters_stay_and_random_ones_of_few() -> None:
+    graphs = [staking(0.1).graph]
+    for random in (False, True):
+        (found,) = firsts(graphs, [1.0], 1, torch.tensor([random]))
+        assert same(found, graphs[0])
