@@ -23,6 +23,7 @@ from cgtorch.graphs import (
     valid,
     widened,
 )
+from cgtorch.graphs.action import own
 from cgtorch.ground.counter_rng import DRIFT, normal_from, words
 from cgtorch.ground.dry_run import expect, kind
 from cgtorch.ground.errors import GraphError, SettingsError
@@ -43,7 +44,7 @@ STRATEGY = (
 INITIAL_STRATEGY = (0.5, 0.1, 0.1, 0.1, 0.1, 0.3, 0.2, 0.5)
 TAU = 0.05  # variance of the drift in eq. 2
 STRATEGY_MIN, PROBABILITY_MAX, SIGMA_MAX = 1e-3, 1.0, 10.0
-DRAWN = 32  # graphs that `varied_graphs` draws for each one that it keeps
+DRAWN = 64  # graphs that `varied_graphs` draws for each one that it keeps
 
 
 @dataclass(frozen=True, eq=False)  # as tensors have no single truth value
@@ -156,16 +157,25 @@ def random_graphs(
     heads = torch.rand(size, capacity, actions.outcome_capacity, generator=generator)
     # All is drawn for as many nodes as there may be, and kept for as many as there are.
     parameters = actions.initial_parameters(action, generator, high)
-    action, heads = action[:, :high], heads[:, :high]
-    used = torch.arange(high) < count[:, None]
+    start = torch.rand(size, generator=generator)
+    graphs = _structures(actions, count, action[:, :high], heads[:, :high], start)
+    return pruned(replace(graphs, parameters=parameters))
+
+
+def _structures(
+    actions: ActionSet, count: Tensor, action: Tensor, heads: Tensor, start: Tensor
+) -> Graphs:
+    """Graphs without parameters, of which the first `count` (P,) of N slots are nodes.
+
+    They have the actions (P, N). Numbers in [0, 1) choose where edges lead, `heads` (P, N, O), and
+    where graphs start, `start` (P,).
+    """
+    used = torch.arange(action.shape[1]) < count[:, None]
     edges = torch.where(
         actions.has_edge[action] & used[..., None], (heads * count[:, None, None]).long(), NO_NODE
     )
-    start = (torch.rand(size, generator=generator) * count).long()
-    graphs = Graphs(
-        action.masked_fill(~used, NO_NODE), edges, parameters.mul_(used[..., None]), start
-    )
-    return pruned(graphs)
+    nothing = heads.new_empty(*action.shape, 0)
+    return Graphs(action.masked_fill(~used, NO_NODE), edges, nothing, (start * count).long())
 
 
 def varied_graphs(
@@ -178,21 +188,41 @@ def varied_graphs(
     """Random graphs of as many kinds as possible, for small populations; see `random_graphs`.
 
     A policy that acts for a whole episode is a loop, and a node outside the loop is idle. So those
-    graphs are preferred whose nodes can all reach each other. The first of each kind, which is the
-    sorted list of its nodes' actions, comes before the second of any.
+    graphs are preferred that are loops (`looping`). The first of each kind, which is the sorted
+    list of its nodes' actions, comes before the second of any.
     """
-    drawn = random_graphs(DRAWN * size, actions, capacity, initial_nodes, generator)
+    low, high = initial_nodes
+    shape = DRAWN * size, high
+    count = torch.randint(low, high + 1, shape[:1], generator=generator)
+    action = torch.randint(len(actions), shape, generator=generator)
+    heads = torch.rand(*shape, actions.outcome_capacity, generator=generator)
+    start = torch.rand(shape[0], generator=generator)
+    drawn = pruned(_structures(actions, count, action, heads, start))
     _, kind = drawn.action.sort(1).values.unique(dim=0, return_inverse=True)
-    group = torch.where(looping(drawn), kind, kind + len(kind))
+    group = torch.where(looping(drawn, actions), kind, kind + len(kind))
     rank = occurrence(group) + len(kind) * (group >= len(kind))
-    return drawn[rank.argsort(stable=True)[:size]]
+    kept = drawn[rank.argsort(stable=True)[:size]]
+    return replace(kept, parameters=actions.parameters_of(kept.action, generator))
 
 
-def looping(graphs: Graphs) -> Tensor:
-    """(P,) bool, whether all nodes of a graph can reach each other."""
-    every = torch.ones(len(graphs), dtype=torch.bool)
+def looping(graphs: Graphs, actions: ActionSet) -> Tensor:
+    """(P,) bool, whether a graph acts, and all of its nodes are visited again and again.
+
+    All nodes have to reach each other. Where actions have steps, a graph needs one, and its start
+    has to lead to a node that sends a message. From then on steps can be carried out, so the edges
+    by which they fail lead nowhere.
+    """
+    control = torch.tensor([own(action, "request") == "control" for action in actions.actions])
+    sends = (torch.tensor([action.message_size for action in actions.actions]) > 0) & ~control
+    steps, sends = (graphs.used & each[graphs.action] for each in (control, sends))
+    edges, first = graphs.edges.clone(), graphs.edges.clone()
+    edges[..., 1:].masked_fill_(steps[..., None], NO_NODE)
+    first[..., :1].masked_fill_(steps[..., None], NO_NODE)
+    begins = reachable(replace(graphs, edges=first)) & sends
+    every = (begins.any(1) & steps.any(1)) | ~control.any()
     for node in range(graphs.capacity):
-        there = reachable(replace(graphs, start=torch.full_like(graphs.start, node)))
+        start = torch.full_like(graphs.start, node)
+        there = reachable(replace(graphs, edges=edges, start=start))
         every &= ~graphs.used[:, node] | (there >= graphs.used).all(1)
     return every
 

@@ -101,6 +101,19 @@ class ActionSet:
                 del drawn, rows  # before the next are drawn, which may be gigabytes
         return out
 
+    def parameters_of(self, action: Tensor, generator: Generator) -> Tensor:
+        """Parameters (..., K) of new nodes with the given actions (...), zero in unused entries.
+
+        Numbers are drawn for these nodes only, and none for unused slots, whose action is negative.
+        """
+        out = torch.zeros(*action.shape, self.parameter_capacity)
+        for i, module in enumerate(self.actions):
+            here = action == i
+            if module.num_parameters and (count := int(here.sum())):
+                drawn = module.initial_parameters(count, generator).detach()
+                out[..., : module.num_parameters][here] = drawn.to(out)
+        return out
+
 
 def _is_standard(action: Action) -> bool:
     """Whether an action uses the default `initial_parameters`."""
