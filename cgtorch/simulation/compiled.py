@@ -43,8 +43,8 @@ class CompiledActions:
         table: All actions and sub-skills.
         in_python: (K,) bool, the table's primitives that Python has to run.
         only_resumable: (A + 1,) long, 1 for the actions that are or contain a primitive which only
-            resumable rollouts can run, because it is in Python, has a memory, or is large. The last entry is
-            0, for slots without an action.
+            resumable rollouts can run, because it is in Python, has a memory, or is large. The last
+            entry is 0, for slots without an action.
         some_only_resumable: Whether there is any such action.
         longest: The largest number of transitions of a sub-skill.
         program: The fields of a `Program`, except those of graphs.
