@@ -69,6 +69,22 @@ class RewardedPath(Path):
         return lanes.state[:, GAINED]
 
 
+class CountedPath(RewardedPath):
+    """A path that counts the lanes that begin."""
+
+    begun = 0
+
+    def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
+        self.begun += len(scenario)
+        return super().start(scenario)
+
+
+class FewPaths(CountedPath):
+    """One on which few lanes run at once."""
+
+    most_lanes = 8
+
+
 def walking_actions() -> ActionSet:
     """A network that aims, a step, a branch, and a test that ends a skill before the walk's end."""
     return ActionSet(

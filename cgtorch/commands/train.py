@@ -174,6 +174,12 @@ def _option(f: Field[Any], default: Any, text: str) -> click.Option:
     shell_complete=completion.one_of(("auto", "cpu", "cuda")),
     help="The device: cpu, cuda, cuda:N, or auto for the fastest. A run may change its device.",
 )
+@click.option(
+    "--processes",
+    type=click.IntRange(1),
+    help="Processes on this machine that share the work. Their number does not change the result.  "
+    "[one for each core where skills evolve in episodes of a Gymnasium environment, else 1]",
+)
 @common.number_option(
     "--checkpoint-seconds",
     click.FloatRange(min=0),
@@ -217,7 +223,8 @@ def command(context: click.Context, /, **options: Any) -> None:
         return TrainingRequest(goal=aims, budget=budget, **how)
 
     named = own(**{name: wanted[name] for name in {"wrappers"} & set(wanted)})
-    actions, domain, quiet = options["actions"], options["domain"], options["quiet"]
+    actions, domain = options["actions"], options["domain"]
+    shown = options["quiet"], options["processes"]
     domain = full_name(domain, with_name(domain, named))
     if options["resume"]:
         if "run_dir" in given:
@@ -226,7 +233,7 @@ def command(context: click.Context, /, **options: Any) -> None:
         with together():
             run = read_run(options["resume"], actions, spec, options["driver"] or None)
             asked = request("target_return" in of_domain and rewarded(run.domain))
-            carry_on(run, wanted, overrides, asked, quiet)
+            carry_on(run, wanted, overrides, asked, *shown)
         return
     if overrides:
         raise SettingsError("--override is for a run that has begun; add --resume RUN")
@@ -237,7 +244,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     run_settings = RunSettings(**values, actions=tuple(actions), domain=domain, driver=driver)
     folder = options["run_dir"] or Path("runs") / f"seed-{run_settings.seed}"
     with together():
-        begin(folder, run_settings, domain_settings, asked, quiet)
+        begin(folder, run_settings, domain_settings, asked, *shown)
 
 
 def _budget(text: str | None) -> dict[str, float]:

@@ -1,22 +1,25 @@
 """The work of `cgtorch-train`, after its options are parsed, and what it says before and after."""
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from cgtorch.commands.common import resumable
-from cgtorch.domains.domain import rewarded
+from cgtorch.domains.domain import bounded, rewarded
 from cgtorch.domains.registry import TABLETOP, is_code, with_name
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.ground import distributed as ranks
+from cgtorch.native.rank_processes import in_ranks
 from cgtorch.report import ProgressDisplay, final_table
 from cgtorch.report.messages import asked_of
 from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.training.auto import reached
+from cgtorch.training.context import evolution_settings
 from cgtorch.training.session import (
     TrainingRequest,
     Work,
@@ -28,13 +31,21 @@ from cgtorch.training.session import (
 )
 from cgtorch.training.train import stages_to_make
 
+FEWEST = 4  # individuals for each process
+
 
 def begin(
-    folder: Path, settings: RunSettings, own: DomainSettings, request: TrainingRequest, quiet: bool
+    folder: Path,
+    settings: RunSettings,
+    own: DomainSettings,
+    request: TrainingRequest,
+    quiet: bool,
+    processes: int | None = None,
 ) -> None:
     """Begin a run, again if it has produced nothing yet, or continue one with the same settings."""
     with begun(folder, settings, with_name(settings.domain, own), request) as run:
-        _train(prepared(run, settings, request), quiet)
+        work = prepared(run, settings, request)
+        in_ranks(partial(_train, work, quiet), processes or usual_processes(run))
 
 
 def carry_on(
@@ -43,11 +54,23 @@ def carry_on(
     overrides: Mapping[str, Any],
     request: TrainingRequest,
     quiet: bool,
+    processes: int | None = None,
 ) -> None:
     """Continue a run under its settings. Given settings must equal them, except `overrides`."""
     settings = resumed(run, given, overrides)
     with continued(run):
-        _train(prepared(run, settings, request), quiet)
+        work = prepared(run, settings, request)
+        in_ranks(partial(_train, work, quiet), processes or usual_processes(run))
+
+
+def usual_processes(run: StoredRun) -> int:
+    """One for each core where skills evolve in a world whose episodes take long, else one.
+
+    Each of them has at least `FEWEST` individuals to try.
+    """
+    if run.learns or not run.repeats or not bounded(run.domain):
+        return 1
+    return max(1, min(ranks.cores(), evolution_settings(run).population // FEWEST))
 
 
 def _train(work: Work, quiet: bool) -> None:

@@ -19,6 +19,7 @@ from cgtorch.domains.pictures import Pictures
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, Step, Test, reward_actions
 from cgtorch.ground.environment import (
+    Bounded,
     Counting,
     Environment,
     Episodic,
@@ -163,6 +164,11 @@ def counting(domain: Domain[Any]) -> bool:
 def episodic(domain: Domain[Any]) -> bool:
     """Whether a domain's world has episodes that end by themselves."""
     return isinstance(domain.world(domain.draw(domain.kinds[0], 1, Generator())), Episodic)
+
+
+def bounded(domain: Domain[Any]) -> bool:
+    """Whether a domain's world cannot run many lanes at once."""
+    return isinstance(domain.world(domain.draw(domain.kinds[0], 1, Generator())), Bounded)
 
 
 def noisy(domain: Domain[Any]) -> bool:

@@ -6,6 +6,7 @@ continues from an earlier step is played again up to there, and so is one whose 
 given to another episode.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
@@ -48,6 +49,7 @@ class Episodes:
         self._wrappers = [_wrapper(spec) for spec in settings.wrappers]
         first, self._limit, self.threshold = self._made()
         self._having = {0: first}  # the environments of episodes, the last one used last
+        self._process, self._parents = os.getpid(), dict[int, Any]()
         self._played = dict[int, Episode]()
         name, self._actions = settings.environment, _space(first, "action_space")
         seen = _space(first, "observation_space")
@@ -128,7 +130,12 @@ class Episodes:
         return self._played[slot].begin()
 
     def _environment(self, slot: int) -> Any:
-        """The environment of an episode: its own, or a new one, or the one used longest ago."""
+        """The environment of an episode: its own, or a new one, or the one used longest ago.
+
+        A forked process leaves those of its parent alone, which may hold a window or a connection.
+        """
+        if self._process != os.getpid():
+            self._process, self._parents, self._having = os.getpid(), self._having, {}
         found = self._having.pop(slot, None)
         if found is None and len(self._having) < MOST:
             found = self._made()[0]

@@ -44,7 +44,7 @@ STRATEGY = (
 INITIAL_STRATEGY = (0.5, 0.1, 0.1, 0.1, 0.1, 0.3, 0.2, 0.5)
 TAU = 0.05  # variance of the drift in eq. 2
 STRATEGY_MIN, PROBABILITY_MAX, SIGMA_MAX = 1e-3, 1.0, 10.0
-DRAWN = 32  # graphs that `varied_graphs` draws for each one that it keeps
+DRAWN = 64  # graphs that `varied_graphs` draws for each one that it keeps
 
 
 @dataclass(frozen=True, eq=False)  # as tensors have no single truth value
@@ -206,11 +206,11 @@ def varied_graphs(
 
 
 def looping(graphs: Graphs, actions: ActionSet) -> Tensor:
-    """(P,) bool, whether all nodes of a graph are visited again and again.
+    """(P,) bool, whether a graph acts, and all of its nodes are visited again and again.
 
-    All nodes have to reach each other, and the start has to lead to a node that sends a message if
-    a step needs one. Then steps can be carried out, so no loop depends on the edges by which they
-    fail.
+    All nodes have to reach each other. Where actions have steps, a graph needs one, and its start
+    has to lead to a node that sends a message. From then on steps can be carried out, so the edges
+    by which they fail lead nowhere.
     """
     control = torch.tensor([own(action, "request") == "control" for action in actions.actions])
     sends = (torch.tensor([action.message_size for action in actions.actions]) > 0) & ~control
@@ -219,7 +219,7 @@ def looping(graphs: Graphs, actions: ActionSet) -> Tensor:
     edges[..., 1:].masked_fill_(steps[..., None], NO_NODE)
     first[..., :1].masked_fill_(steps[..., None], NO_NODE)
     begins = reachable(replace(graphs, edges=first)) & sends
-    every = begins.any(1) | ~steps.any(1)
+    every = (begins.any(1) & steps.any(1)) | ~control.any()
     for node in range(graphs.capacity):
         start = torch.full_like(graphs.start, node)
         there = reachable(replace(graphs, edges=edges, start=start))

@@ -1,7 +1,8 @@
 """Several processes (ranks) that do the same work and share what takes long.
 
-Under `torchrun` every rank makes the whole run from the same seed. Only independent rows are
-shared: rollouts of individuals in the models, and grasps in the world. Their results are gathered
+Every rank makes the whole run from the same seed. They are started by `torchrun`, or by a command
+itself (`cgtorch.native.rank_processes`). Only independent rows are
+shared: rollouts of individuals, and grasps in the world. Their results are gathered
 before they are used, so the result is that of a single process, bit for bit, for any number of
 ranks. Only the first rank writes files.
 
@@ -26,27 +27,46 @@ from torch.distributed.constants import default_pg_timeout
 from torch.distributed.distributed_c10d import PrefixStore, Store
 from torch.distributed.rendezvous import rendezvous
 
+from cgtorch.ground.errors import CgtorchError
+
 T = TypeVar("T")
 LOOK_AGAIN = timedelta(seconds=0.1)
+PAUSE = 1e-3  # s between two looks at common work, at most
+
+
+class RankLostError(CgtorchError, RuntimeError):
+    """Another rank has ended in the midst of common work."""
 
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Join the other ranks while the context lasts, if `torchrun` has started any.
-
-    Tensors on a CPU are gathered by gloo, those on a GPU by NCCL.
-    """
+    """Join the other ranks while the context lasts, if `torchrun` has started any."""
     if "TORCHELASTIC_RUN_ID" not in os.environ or count() > 1:
         yield
         return
-    backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
     store, rank, size = next(rendezvous("env://"))
-    mine = PrefixStore(name_of_start(store, rank, size), store)
-    torch.distributed.init_process_group(backend, store=mine, rank=rank, world_size=size)
+    with joined(PrefixStore(name_of_start(store, rank, size), store), rank, size):
+        yield
+
+
+@contextmanager
+def joined(store: Store, rank: int, size: int) -> Iterator[None]:
+    """Be one of so many ranks, which meet at a store, while the context lasts.
+
+    Tensors on a CPU are gathered by gloo, those on a GPU by NCCL.
+    """
+    backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
+    torch.distributed.init_process_group(backend, store=store, rank=rank, world_size=size)
     try:
         yield
     finally:
-        _groups.cache_clear()
+        leave()
+
+
+def leave() -> None:
+    """Be a single process from now on; the other ranks wait for this one in vain."""
+    _groups.cache_clear()
+    if torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
 
 
@@ -97,7 +117,8 @@ def _index() -> int:
 def wait() -> None:
     """Wait until all ranks have reached this point."""
     if count() > 1:
-        torch.distributed.barrier()
+        with _others_there():
+            torch.distributed.barrier()
 
 
 def broadcast(value: T, source: int = 0) -> T:
@@ -105,8 +126,32 @@ def broadcast(value: T, source: int = 0) -> T:
     if count() == 1:
         return value
     values = [value]
-    torch.distributed.broadcast_object_list(values, source)
+    with _others_there():
+        torch.distributed.broadcast_object_list(values, source)
     return values[0]
+
+
+@contextmanager
+def _others_there() -> Iterator[None]:
+    """A context that ends with a RankLostError if another rank is gone."""
+    try:
+        yield
+    except CgtorchError:
+        raise
+    except RuntimeError as e:
+        raise RankLostError(
+            "another rank has ended in the midst of common work; its own error says why"
+        ) from e
+
+
+def _finish(work: torch.distributed.Work) -> None:
+    """Wait for common work such that a signal, such as Ctrl-C, is heard meanwhile."""
+    pause = 0.0
+    with _others_there():
+        while not work.is_completed():
+            time.sleep(pause)
+            pause = min(pause + PAUSE / 20, PAUSE)
+        work.wait()
 
 
 @dataclass(frozen=True)
@@ -149,7 +194,7 @@ def _all_gather(
     mine = plain.new_zeros(max(sizes), *part.shape[1:])  # gloo wants parts of one size
     mine[: len(part)] = plain
     parts = [torch.empty_like(mine) for _ in sizes]
-    torch.distributed.all_gather(parts, mine, group=handle)
+    _finish(torch.distributed.all_gather(parts, mine, group=handle, async_op=True))
     return torch.cat([p[:n] for p, n in zip(parts, sizes, strict=True)]).to(part.dtype)
 
 
@@ -158,7 +203,7 @@ def all_reduce(number: int, group: Group | None = None) -> int:
     group = group or _all_ranks()
     total = torch.tensor(number)
     if group.size > 1:
-        torch.distributed.all_reduce(total, group=group.handle)
+        _finish(torch.distributed.all_reduce(total, group=group.handle, async_op=True))
     return int(total)
 
 
@@ -210,5 +255,10 @@ def ring_shift(mine: Tensor, parts: int) -> Tensor:
 
 
 def part_of_holder(value: T, part: int, parts: int) -> T:
-    """On all ranks, the value of the first rank that holds a part; all ranks must call this."""
+    """On all ranks, the value of the first rank that holds a part.
+
+    All ranks must call this, except if there is one part only, which each of them has.
+    """
+    if parts == 1:
+        return value
     return broadcast(value, next(r for r in range(count()) if part in held(parts, r)))

@@ -14,7 +14,7 @@ from torch import Generator, Tensor
 
 from cgtorch.graphs import ActionSet, Graphs, Skill
 from cgtorch.ground.environment import Environment
-from cgtorch.simulation import rollout
+from cgtorch.simulation import shared_rollout
 
 FIRST = 8  # pairs of the first look
 SURE, AT_LAST = 3.0, 1.64  # standard errors by which it has to be better, and after the last pair
@@ -83,7 +83,7 @@ class Fresh:
 
         What counts are the returns, or whether they succeed.
         """
-        runs = rollout(graphs, actions, world, max_transitions=self.max_transitions)
+        runs = shared_rollout(graphs, actions, world, max_transitions=self.max_transitions)
         self.episodes += runs.succeeded.numel()
         self.executed += runs.executed
         return runs.succeeded.float() if runs.returns is None else runs.returns, runs.transitions

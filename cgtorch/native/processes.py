@@ -81,10 +81,10 @@ def _begin(work: Callable[[int], Any], parent: int) -> None:
     torch.set_num_threads(1)
     native.use_threads(1)
     _work, _forked = work, True
-    threading.Thread(target=_follow, args=(parent,), daemon=True).start()
+    threading.Thread(target=follow, args=(parent,), daemon=True).start()
 
 
-def _follow(parent: int) -> None:
+def follow(parent: int) -> None:
     """Exit when the parent process ends, even if it was killed."""
     while os.getppid() == parent:
         time.sleep(1)

@@ -43,8 +43,8 @@ class CompiledActions:
         table: All actions and sub-skills.
         in_python: (K,) bool, the table's primitives that Python has to run.
         only_resumable: (A + 1,) long, 1 for the actions that are or contain a primitive which only
-            resumable rollouts can run, because it is in Python or has a memory. The last entry is
-            0, for slots without an action.
+            resumable rollouts can run, because it is in Python, has a memory, or is large. The last
+            entry is 0, for slots without an action.
         some_only_resumable: Whether there is any such action.
         longest: The largest number of transitions of a sub-skill.
         program: The fields of a `Program`, except those of graphs.
@@ -127,7 +127,12 @@ def compiled_actions(
     }
     numbers = constants("action_kinds", dtype)
     apart = [numbers[name] for name in (*WITH_MEMORY, "IN_PYTHON")]
-    only = [each["kind"] in apart for each in fields]
+    only = [
+        each["kind"] in apart
+        or each["inputs"] > limits["MOST_PERCEPT"]
+        or each["outputs"] > limits["MOST_MESSAGE"]
+        for each in fields
+    ]
     flags = [int(_uses_any(each, table, only)) for each in actions.actions]
     return CompiledActions(
         table=table,
@@ -150,9 +155,8 @@ def _fields(
     sizes = {name: getattr(action, name, 0) for name in SIZES}
     ordinary = kind in (*ROUTINES, *NETWORKS, *WITH_MEMORY)
     fits = inputs <= percept_size if ordinary else inputs == percept_size
-    fits &= inputs <= most["MOST_PERCEPT"] and sizes["hidden"] <= most["MOST_HIDDEN"]
-    fits &= sizes["outputs"] <= most["MOST_MESSAGE"]
-    fits &= action.num_parameters <= most["MOST_WEIGHTS"]
+    fits &= inputs <= most["MOST_READ"] and sizes["hidden"] <= most["MOST_HIDDEN"]
+    fits &= sizes["outputs"] <= most["MOST_SENT"]
     window = sizes["inputs"] * (sizes["delays"] + 1)
     fits &= kind != "DELAY" or window <= most["MOST_DELAYED"]
     memory = sizes["hidden"] + sizes["inputs"] * sizes["delays"]

@@ -10,6 +10,7 @@ from types import FrameType
 
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import BudgetSpentError, Purse
+from cgtorch.native.rank_processes import end_others, others_started
 
 GRACE = 2.0  # s, in which a step ends by itself
 
@@ -18,15 +19,18 @@ GRACE = 2.0  # s, in which a step ends by itself
 def deadline(purse: Purse) -> Iterator[None]:
     """A context that is left by a BudgetSpentError soon after the time of a purse is over.
 
-    Steps look at the clock between generations, and one may take minutes. Only the main thread of a
-    single process has this alarm, where the system has one.
+    Steps look at the clock between generations, and one may take minutes. Only the main thread has
+    this alarm, where the system has one, of a single process or of one that has started the other
+    ranks itself. These end then, as they cannot all be broken off at the same place.
     """
     main = threading.current_thread() is threading.main_thread()
-    if purse.until == inf or not main or ranks.count() > 1 or not hasattr(signal, "setitimer"):
+    alone = ranks.count() == 1 or others_started()
+    if purse.until == inf or not main or not alone or not hasattr(signal, "setitimer"):
         yield
         return
 
     def ring(number: int, frame: FrameType | None) -> None:
+        end_others()
         raise BudgetSpentError("the time is over; give more (minutes, --minutes)")
 
     before = signal.signal(signal.SIGALRM, ring)

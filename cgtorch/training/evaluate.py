@@ -11,6 +11,8 @@ from cgtorch.domains.domain import Domain
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.models import Models
 from cgtorch.graphs import Skill
+from cgtorch.ground import distributed as ranks
+from cgtorch.ground.environment import Bounded
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import try_skill
 from cgtorch.simulation import rollout
@@ -85,12 +87,20 @@ def joined(scores: list[Score]) -> Score:
 
 
 def try_on(skill: Skill, domain: Domain[Any], scenarios: Any) -> Score:
-    """The score of a skill on scenarios; with rewards, those with the target return are solved."""
-    trial = try_skill(skill, domain.world(scenarios))
+    """The score of a skill on scenarios; with rewards, those with the target return are solved.
+
+    In a world that is `Bounded`, the ranks share the scenarios.
+    """
+    rows, world = len(scenarios), domain.world(scenarios)
+    shared = isinstance(world, Bounded)
+    if shared:
+        world = domain.world(scenarios[ranks.share(rows)])
+    trial = try_skill(skill, world)
     returns, solved = trial.returns, trial.succeeded
     if returns is not None:
         solved = returns >= domain.target_return
-    return Score(scenarios, trial.percepts, solved, returns)
+    found = [trial.percepts, solved, *([] if returns is None else [returns])]
+    return Score(scenarios, *(ranks.all_gather(x, rows) if shared else x for x in found))
 
 
 def evaluate_skill(

@@ -18,6 +18,7 @@ from cgtorch.domains.registry import make_domain
 from cgtorch.evolution.population import random_population
 from cgtorch.ground.environment import Bounded, Lanes, start_lanes
 from cgtorch.ground.errors import DomainError, WorldError
+from cgtorch.native.processes import in_processes
 from cgtorch.simulation import rollout
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -215,3 +216,17 @@ def test_episodes_are_made_anew_in_another_process() -> None:
     domain = domain_of("Acrobot-v1")
     again = pickle.loads(pickle.dumps(domain.episodes))  # noqa: S301  our own bytes
     assert again.begin([5])[0] == pytest.approx(domain.episodes.begin([5])[0])
+
+
+def test_a_forked_process_makes_environments_of_its_own() -> None:
+    """One that is open may hold a window or a connection, which only its process may use."""
+    domain = domain_of("Acrobot-v1")
+    ours = domain.episodes.begin([3])[0]
+    kept = [id(each) for each in domain.episodes._having.values()]
+
+    def work(_: int) -> tuple[bool, int]:
+        same = bool((domain.episodes.begin([3])[0] == ours).all())
+        return same, sum(id(each) in kept for each in domain.episodes._having.values())
+
+    assert in_processes(work, 2, 2) == [(True, 0), (True, 0)]
+    assert work(0) == (True, 1)

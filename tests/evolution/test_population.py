@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import custom_actions, nested_actions, seeded
 from torch import Generator, Tensor
+from walking import chain
 
 from cgtorch.evolution import STRATEGY
 from cgtorch.evolution.population import (
@@ -20,6 +21,7 @@ from cgtorch.evolution.population import (
     factors,
     looping,
     occurrence,
+    random_graphs,
     random_population,
     seeded_population,
     varied_graphs,
@@ -41,6 +43,7 @@ from cgtorch.ground.counter_rng import BITS, keys, nth_true, pick, random_key
 from cgtorch.ground.errors import GraphError
 
 ACTIONS = custom_actions()
+SENDING = {"Linear", "Aim", "Delay", "Recur", "ContinuousNN", "Counter"}
 REWARDED = ActionSet(
     ("Linear", "Aim", "Delay", "Recur", "Branch", "Step"),
     (
@@ -52,6 +55,18 @@ REWARDED = ActionSet(
         Step(2),
     ),
 )
+
+
+class Counts(LinearNN):
+    """Counts for how many nodes parameters are drawn, by its name."""
+
+    def __init__(self, name: str, counts: dict[str, int]) -> None:
+        super().__init__(20, 2)
+        self.name, self.counts = name, counts
+
+    def initial_parameters(self, n: int, generator: Generator) -> Tensor:
+        self.counts[self.name] += n
+        return super().initial_parameters(n, generator)
 
 
 def test_choices_are_uniform_and_only_where_allowed() -> None:
@@ -113,30 +128,75 @@ def kinds(graphs: Graphs) -> list[tuple[int, ...]]:
     return [tuple(sorted(x for x in row if x >= 0)) for row in graphs.action.tolist()]
 
 
-def test_small_populations_have_all_pairs_of_actions_and_all_of_them_loop() -> None:
-    for seed in range(3):
+def test_small_populations_have_all_pairs_that_act_equally_often_and_nothing_else() -> None:
+    for seed in range(10):
         graphs = varied_graphs(48, REWARDED, 24, (2, 2), seeded(seed))
         assert valid(graphs, REWARDED).all()
-        assert looping(graphs).all()
+        assert looping(graphs, REWARDED).all()
         found = kinds(graphs)
-        assert {kind for kind in found if len(kind) == 2} >= {
-            (a, b) for a in range(6) for b in range(a + 1, 6)
-        }
-        assert max(found.count(kind) for kind in set(found)) <= 4
+        assert {kind: found.count(kind) for kind in found} == {(a, 5): 12 for a in range(4)}
 
 
-@given(st.integers(0, 2**20), st.integers(1, 30))
-def test_looping_is_strongly_connected(seed: int, size: int) -> None:
-    actions = custom_actions()
-    graphs = varied_graphs(size, actions, 6, (1, 6), seeded(seed))
-    assert valid(graphs, actions).all()
-    for i, loops in enumerate(looping(graphs).tolist()):
-        assert loops == networkx.is_strongly_connected(to_networkx(graphs, actions, i))
+def test_without_steps_all_strongly_connected_graphs_loop() -> None:
+    actions = ActionSet(REWARDED.names[:4], REWARDED.actions[:4])
+    found = kinds(varied_graphs(48, actions, 24, (2, 2), seeded(0)))
+    assert set(found) == {(a, b) for a in range(4) for b in range(a, 4)} | {(a,) for a in range(4)}
+
+
+@given(st.integers(0, 2**20), st.sampled_from([custom_actions(), REWARDED]))
+def test_looping_is_strongly_connected_by_edges_that_are_followed(
+    seed: int, actions: ActionSet
+) -> None:
+    graphs = random_graphs(30, actions, 6, (1, 6), seeded(seed))
+    for i, loops in enumerate(looping(graphs, actions).tolist()):
+        whole = to_networkx(graphs, actions, i)
+        steps = {node for node, name in whole.nodes(data="action") if name in ("Step", "MoveBase")}
+        failures = [e for e in whole.edges(keys=True) if e[0] in steps and e[2] == "failure"]
+        others = [e for e in whole.edges(keys=True) if e[0] in steps and e[2] == "success"]
+        later, first = whole.copy(), whole.copy()
+        later.remove_edges_from(failures)
+        first.remove_edges_from(others)
+        begins = {*networkx.descendants(first, whole.graph["start"]), whole.graph["start"]}
+        sends = any(whole.nodes[node]["action"] in SENDING for node in begins)
+        assert loops == (networkx.is_strongly_connected(later) and sends and bool(steps))
+
+
+@pytest.mark.parametrize(
+    ("names", "edges", "loops"),
+    [
+        (("Aim", "Step"), {}, True),
+        (("Aim", "Linear"), {}, False),  # says much and does nothing
+        (("Step", "Branch"), {}, False),  # does nothing, as nothing is said
+        (("Aim", "Step"), {(1, "failure"): 1}, True),  # there is a message by then
+        (("Aim", "Step"), {(1, "success"): 1}, False),  # only the first percept counts
+        (("Step", "Aim"), {}, True),  # the first step fails, as there is no message yet
+        (("Step", "Aim"), {(0, "failure"): 0}, False),  # and fails for ever
+        (("Branch", "Aim", "Step"), {(0, "out1"): 1, (0, "out2"): 2, (2, "failure"): 2}, True),
+    ],
+)
+def test_what_is_a_loop_where_steps_do_not_fail(
+    names: tuple[str, ...], edges: dict[tuple[int, str], int], loops: bool
+) -> None:
+    assert looping(chain(REWARDED, *names, edges=edges), REWARDED).tolist() == [loops]
+
+
+def test_only_the_parameters_of_kept_graphs_are_drawn() -> None:
+    counts = dict.fromkeys(REWARDED.names, 0)
+    counted = [Counts(name, counts) for name in ("Linear", "Aim")]
+    actions = ActionSet((*[each.name for each in counted], "Step"), (*counted, Step(2)))
+    graphs = varied_graphs(24, actions, 8, (2, 2), seeded(0))
+    for i, name in enumerate(actions.names[:2]):
+        assert counts[name] == int((graphs.action == i).sum()) > 0
+        drawn = graphs.parameters[graphs.action == i]
+        assert drawn.std().item() == pytest.approx(1, abs=0.1)
+    assert (graphs.parameters[graphs.action < 0] == 0).all()
+    assert (graphs.parameters[graphs.action == 2] == 0).all()
 
 
 def test_what_does_not_loop_comes_last(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cgtorch.evolution.population.DRAWN", 1)
-    loops = looping(varied_graphs(60, custom_actions(), 6, (3, 6), seeded(0))).tolist()
+    actions = custom_actions()
+    loops = looping(varied_graphs(60, actions, 6, (3, 6), seeded(0)), actions).tolist()
     assert loops == sorted(loops, reverse=True)
     assert True in loops
     assert False in loops

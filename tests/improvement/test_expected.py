@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pytest
@@ -121,7 +122,8 @@ def test_an_earlier_skill_stays_unless_another_is_better() -> None:
     after = searched(setup_of(told.append), replace(BEFORE, skill=best))
     assert wins(after.skill) > 0.89
     worse = replace(BEFORE, skill=staking(-1.0, name="earlier"))
-    assert wins(searched(setup_of(told.append), worse).skill) > 0.8
+    setups = [setup_of(told.append, generator=seeded(seed)) for seed in range(7)]
+    assert median(wins(searched(setup, worse).skill) for setup in setups) > 0.8
 
 
 @pytest.mark.parametrize("number", [1, 2, 9, 25])

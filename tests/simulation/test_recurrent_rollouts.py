@@ -31,8 +31,9 @@ from cgtorch.graphs import (
     Step,
     SubSkill,
     Test,
+    reward_actions,
 )
-from cgtorch.ground.environment import Environment
+from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.native import available
 from cgtorch.simulation import rollout
 from cgtorch.simulation.compiled import NETWORKS, WITH_MEMORY, compiled_actions
@@ -182,18 +183,18 @@ def test_graphs_without_it_stay_where_they_were() -> None:
 @pytest.mark.parametrize(
     ("kind", "sizes", "compiled"),
     [
-        (RecurrentNN, (7, 64, 16), True), (RecurrentNN, (64, 20, 3), True),
-        (RecurrentNN, (7, 65, 3), False), (RecurrentNN, (65, 3, 3), False),
-        (RecurrentNN, (7, 3, 17), False), (RecurrentNN, (64, 64, 3), False),
-        (RecurrentNN, (71, 3, 3), False), (DelayNN, (7, 3, 16), True), (DelayNN, (64, 3, 3), True),
-        (DelayNN, (64, 4, 3), False), (DelayNN, (65, 0, 3), False),
+        (RecurrentNN, (7, 64, 32), True), (RecurrentNN, (400, 64, 32), True),
+        (RecurrentNN, (7, 65, 3), False), (RecurrentNN, (401, 3, 3), False),
+        (RecurrentNN, (7, 3, 33), False), (RecurrentNN, (421, 3, 3), False),
+        (DelayNN, (7, 3, 32), True), (DelayNN, (400, 3, 32), True), (DelayNN, (320, 4, 3), True),
+        (DelayNN, (400, 4, 3), False), (DelayNN, (401, 0, 3), False),
     ],
 )  # fmt: skip
-def test_what_is_too_large_is_pythons(
+def test_what_is_too_large_is_in_python(
     kind: type[Action], sizes: tuple[int, int, int], compiled: bool
 ) -> None:
     actions = ActionSet(("Network",), (kind(*sizes),))
-    known = compiled_actions(actions, 70, torch.float32, (*NETWORKS, *WITH_MEMORY))
+    known = compiled_actions(actions, 420, torch.float32, (*NETWORKS, *WITH_MEMORY))
     assert known is not None
     assert known.in_python == (not compiled,)
     assert known.only_resumable.tolist() == [1, 0]
@@ -214,3 +215,58 @@ def test_subclasses_and_changed_ones_run_in_python() -> None:
         known = compiled_actions(ActionSet(("A",), (action,)), 7, torch.float32, WITH_MEMORY)
         assert known is not None
         assert known.in_python == (True,)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sizes", "alone"),
+    [
+        (ContinuousNN, (64, 8, 16), False), (ContinuousNN, (65, 8, 3), True),
+        (ContinuousNN, (7, 8, 17), True), (BranchingNN, (64, 8), False),
+        (BranchingNN, (65, 8), True),
+    ],
+)  # fmt: skip
+def test_what_is_too_large_for_vectors_of_lanes_waits_for_python(
+    kind: type[Action], sizes: tuple[int, ...], alone: bool
+) -> None:
+    actions = ActionSet(("Network", "Step"), (kind(*sizes), Step(3)))
+    known = compiled_actions(actions, 420, torch.float32, (*NETWORKS, "STEP"))
+    assert known is not None
+    assert known.in_python == (False, False)
+    assert known.only_resumable.tolist() == [int(alone), 0, 0]
+
+
+class Far:
+    """Lanes with D numbers, of which U controls move all."""
+
+    def __init__(self, percepts: int, controls: int) -> None:
+        self.num_scenarios, self.percept_size, self.control_size = 5, percepts, controls
+
+    def start(self, scenario: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        percept = torch.linspace(-1, 1, self.percept_size, dtype=torch.float64)
+        return torch.zeros(len(scenario), 1), percept * (1 + scenario[:, None])
+
+    def step(self, lanes: Lanes, control: torch.Tensor) -> tuple[Lanes, torch.Tensor]:
+        moved = lanes.percept.roll(1, 1) + 0.1 * control.mean(1, keepdim=True).tanh()
+        done = control.isfinite().all(1)
+        return replace(lanes, percept=torch.where(done[:, None], moved, lanes.percept)), done
+
+    def observe(self, lanes: Lanes) -> Lanes:
+        return lanes
+
+    def success(self, lanes: Lanes) -> tuple[Lanes, torch.Tensor]:
+        return lanes, lanes.percept[:, 0]
+
+
+@pytest.mark.parametrize(("percepts", "controls"), [(65, 17), (105, 8), (348, 17), (400, 32)])
+def test_networks_of_wide_percepts_run_compiled_and_do_what_they_do_in_torch(
+    percepts: int, controls: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Several graphs with lanes of their own, whose large networks cannot run side by side."""
+    basic = reward_actions(percepts, controls)
+    graphs = as_double(random_graphs(0, 40, basic, nodes=(2, 4)))
+    given = graphs, basic, Far(percepts, controls), (30, 30)
+    wanted = in_torch(*given)
+    for kind in (RecurrentNN, DelayNN, ContinuousNN, BranchingNN):
+        monkeypatch.setattr(kind, "forward", None)
+    assert wanted.percept.std() > 0.1
+    assert_same(waiting(*given), wanted, 1e-9)

@@ -6,7 +6,9 @@ import time
 
 import pytest
 
+from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import BudgetSpentError, Purse
+from cgtorch.native.rank_processes import in_ranks, others_started
 from cgtorch.training.deadline import GRACE, deadline
 
 
@@ -50,3 +52,21 @@ def test_what_is_asked_after_the_time_is_refused() -> None:
     with pytest.raises(BudgetSpentError, match="give more"):
         purse.pay("trials", purse.total)
     assert purse.exhausted
+
+
+def test_ranks_of_its_own_end_then_and_the_first_goes_on_alone() -> None:
+    """Also while it waits for the others."""
+    found, began = list[object](), time.monotonic()
+
+    def work() -> None:
+        try:
+            with deadline(Purse(until=began - 1.0)):
+                if not ranks.first():
+                    time.sleep(60)
+                ranks.all_reduce(1)
+        except BudgetSpentError:
+            found.extend([ranks.count(), others_started()])
+
+    in_ranks(work, 2)
+    assert found == [1, False]
+    assert GRACE - 0.1 < time.monotonic() - began < GRACE + 5

@@ -7,10 +7,13 @@ import torch
 from members import nearly
 from reaching import TABLE, TABLE_MODELS, small_knowledge
 from support import random_skill, seeded, world
+from walking import FewPaths, Walking, Walks, walking_actions
 
 from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, SubSkill
+from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import first_percepts, try_skill
+from cgtorch.native.rank_processes import in_ranks
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
@@ -121,3 +124,36 @@ def test_a_promise_holds_under_every_error_drawn() -> None:
     ]
     assert found.tolist() == one_by_one
     assert 0 < sum(one_by_one) < 20
+
+
+class FewAtOnce(Walking):
+    """Walks of which few run at once, in worlds that are kept."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.worlds = list[FewPaths]()
+
+    def world(self, scenarios: Walks) -> FewPaths:
+        self.worlds.append(FewPaths(scenarios))
+        return self.worlds[-1]
+
+
+def test_ranks_share_the_scenarios_where_few_run_at_once() -> None:
+    skill, found, begun = random_skill(5, "any", walking_actions()), list[Score](), list[int]()
+    alone = evaluate_skill(skill, FewAtOnce(), "any", 21, 4)
+
+    def work() -> None:
+        domain = FewAtOnce()
+        found.append(evaluate_skill(skill, domain, "any", 21, 4))
+        begun.extend(
+            ranks.all_gather(torch.tensor([sum(each.begun for each in domain.worlds)]), 2).tolist()
+        )
+
+    in_ranks(work, 2)
+    assert begun == [10, 11]
+    assert torch.equal(found[0].percepts, alone.percepts)
+    assert torch.equal(found[0].succeeded, alone.succeeded)
+    assert found[0].returns is not None
+    assert alone.returns is not None
+    assert torch.equal(found[0].returns, alone.returns)
+    assert found[0].tried == 21

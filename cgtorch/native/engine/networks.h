@@ -41,8 +41,12 @@ INLINE vec lightly(const vec *x, const real *w, const vec *columns, int first, i
   return product(x, w, columns, first, count) * OF_WEIGHTS + weight(w, columns, bias) * OF_BIASES;
 }
 
-INLINE int recurrent_weights(int inputs, int hidden, int outputs) {
-  return hidden * (inputs + hidden + 1) + outputs * (hidden + 1);
+/* The number of a network's weights, 0 for other actions. */
+INLINE int num_weights(const Action *a) {
+  int inputs = (int)a->inputs, hidden = (int)a->hidden, outputs = (int)a->outputs;
+  if (a->kind == RECURRENT) return hidden * (inputs + hidden + 1) + outputs * (hidden + 1);
+  if (a->kind == DELAY) return outputs * (inputs * ((int)a->delays + 1) + 1);
+  return hidden * (inputs + 1) + outputs * (hidden + 1);
 }
 /* The outputs of networks for `x`, percepts followed by their states, and their states afterwards. */
 INLINE void recurrent_layers(const vec *x, const real *w, const vec *columns, int inputs, int hidden,
@@ -59,9 +63,6 @@ INLINE void recurrent(const vec *x, const real *w, const vec *columns, int input
   else recurrent_layers(x, w, columns, inputs, hidden, outputs, state, out);
 }
 
-INLINE int delay_weights(int inputs, int delays, int outputs) {
-  return outputs * (inputs * (delays + 1) + 1);
-}
 /* The outputs of networks for `x`, percepts followed by earlier ones, the latest first. */
 INLINE void delayed(const vec *x, const real *w, const vec *columns, int inputs, int delays,
                     int outputs, vec *out) {

@@ -10,9 +10,11 @@
 #define MOST_PERCEPT 64
 #define MOST_HIDDEN 64
 #endif
-#define MOST_DELAYED 256 /* numbers of a percept and its changes */
+#define MOST_READ 400 /* numbers of a percept that networks read which only resumable.h runs */
+#define MOST_SENT 32 /* numbers of a message that these send */
+#define MOST_DELAYED (4 * MOST_READ) /* numbers of a percept and its changes */
 #define MOST_SEEN (MOST_PERCEPT + 9) /* numbers that a network reads */
-#define MOST_WEIGHTS (MOST_HIDDEN * (MOST_SEEN + 1) + MOST_MESSAGE * (MOST_HIDDEN + 1))
+#define MOST_COLUMNS (MOST_HIDDEN * (MOST_SEEN + 1) + MOST_MESSAGE * (MOST_HIDDEN + 1))
 
 /* RECURRENT and DELAY have a memory, which only the lanes of resumable.h have. Inputs and outputs of
    the kinds DOMAIN_... are mapped by the code of a domain. */

@@ -50,11 +50,10 @@ INLINE int tell(const Waiting *w, int64_t lane, const vec *out, int i, int64_t c
 }
 
 INLINE Done network_of(const Waiting *w, Layout layout, const Action *a, Together *t) {
-  vec percept[MOST_PERCEPT], out[MOST_MESSAGE], columns[MOST_WEIGHTS];
-  int hidden = (int)a->hidden, count = hidden * ((int)a->inputs + 1) + (int)a->outputs * (hidden + 1);
+  vec percept[MOST_READ], out[MOST_SENT], columns[MOST_COLUMNS];
   rows_of(t, w->percept, w->percept_size);
   into_columns_of(t->rows, (int)(reads_all(a->kind) ? w->percept_size : a->inputs), percept);
-  const real *weights = weights_for(w, t, count, columns);
+  const real *weights = weights_for(w, t, num_weights(a), columns);
   const void *models = w->environment ? w->environment->models : NULL;
   if (weights) answer(a, weights, models, layout, percept, t->here, out);
   else answer_with(a, NULL, columns, models, layout, percept, t->here, out);
@@ -85,20 +84,20 @@ INLINE Done remembered(const Waiting *w, Together *t, const vec *out, int output
 }
 
 INLINE Done recurrent_of(const Waiting *w, const Action *a, Together *t) {
-  vec x[MOST_PERCEPT + MOST_HIDDEN], state[MOST_HIDDEN], out[MOST_MESSAGE], columns[MOST_WEIGHTS];
+  vec x[MOST_READ + MOST_HIDDEN], state[MOST_HIDDEN], out[MOST_SENT], columns[MOST_COLUMNS];
   int inputs = (int)a->inputs, hidden = (int)a->hidden, outputs = (int)a->outputs;
   real *memory = read_memory(w, a, t, hidden, x);
-  const real *weights = weights_for(w, t, recurrent_weights(inputs, hidden, outputs), columns);
+  const real *weights = weights_for(w, t, num_weights(a), columns);
   if (weights) recurrent(x, weights, NULL, inputs, hidden, outputs, state, out);
   else recurrent(x, NULL, columns, inputs, hidden, outputs, state, out);
   return remembered(w, t, out, outputs, state, hidden, memory);
 }
 
 INLINE Done delay_of(const Waiting *w, const Action *a, Together *t) {
-  vec x[MOST_DELAYED], out[MOST_MESSAGE], columns[MOST_WEIGHTS];
+  vec x[MOST_DELAYED], out[MOST_SENT], columns[MOST_COLUMNS];
   int inputs = (int)a->inputs, delays = (int)a->delays, outputs = (int)a->outputs;
   real *memory = read_memory(w, a, t, inputs * delays, x);
-  const real *weights = weights_for(w, t, delay_weights(inputs, delays, outputs), columns);
+  const real *weights = weights_for(w, t, num_weights(a), columns);
   if (weights) delayed(x, weights, NULL, inputs, delays, outputs, out);
   else delayed(x, NULL, columns, inputs, delays, outputs, out);
   return remembered(w, t, out, outputs, x, inputs * delays, memory);
@@ -166,13 +165,24 @@ INLINE Done together(const Waiting *w, Layout layout, const Action *a, Together 
   }
 }
 
+/* How many of the first `count` lanes of a queue run together: all or, where a network has too many weights to
+   be laid out in columns for each lane, those at the node of the first one. */
+INLINE int64_t at_once(const Waiting *w, const Action *a, const int32_t *queue, int64_t count) {
+  if (num_weights(a) <= MOST_COLUMNS) return count;
+  int32_t node = w->places[queue[0]].node;
+  int64_t same = 1;
+  while (same < count && w->places[queue[same]].node == node) same++;
+  return same;
+}
+
 /* Runs all lanes that wait for an action of compiled code. Lanes that then wait for something are added to
    the end of its queue, or to a place that has been read. */
 static void run_queue(const Waiting *w, Layout layout, const Action *a, const int32_t *queue,
                       int64_t total, int32_t **ends) {
   Walk v = walk_of(w);
-  for (int64_t from = 0; from < total; from += WIDTH) {
-    Together t = {.count = (int)(total - from < WIDTH ? total - from : WIDTH)};
+  for (int64_t from = 0, count; from < total; from += count) {
+    count = at_once(w, a, queue + from, total - from < WIDTH ? total - from : WIDTH);
+    Together t = {.count = (int)count};
     for (int i = 0; i < WIDTH; i++) t.lane[i] = queue[from + (i < t.count ? i : 0)];
     for (int i = 0; i < WIDTH; i++) t.here[i] = -(i < t.count);
     Done done = together(w, layout, a, &t);

@@ -11,7 +11,8 @@ EXPORT_CONSTANTS(counts, NEXT_OF_W, NEXT, COUNTED, EXECUTED, NUM_NOT_FINITE, WRO
 EXPORT_CONSTANTS(action_kinds, STEP, PERCEIVE, TEST, CONTINUOUS, BRANCHING, DOMAIN_NN, DOMAIN_OTHER_NN,
                  DOMAIN_BRANCHING, RECURRENT, DELAY, IN_PYTHON)
 EXPORT_CONSTANTS(ends, SUCCESS, FAILURE, TIMEOUT)
-EXPORT_CONSTANTS(engine_limits, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_DELAYED, MOST_WEIGHTS, MOST_DEPTH)
+EXPORT_CONSTANTS(engine_limits, MOST_PERCEPT, MOST_MESSAGE, MOST_HIDDEN, MOST_READ, MOST_SENT,
+                 MOST_DELAYED, MOST_DEPTH)
 
 /* Whether any of `count` nodes has a flagged action; an invalid action has the last flag. */
 int any_flagged(const int64_t *action, int64_t count, const int64_t *flags, int64_t actions) {
