@@ -20,7 +20,7 @@ from cgtorch.improvement.paired_race import Fresh, Holder, paired_race
 from cgtorch.improvement.rivals import compared, first_rivals, halved, next_rival, simplest
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.spread import FEWEST
-from cgtorch.improvement.tuning import Tuning, begun, update
+from cgtorch.improvement.tuning import SAMPLES, Tuning, begun, update
 
 OFTEN = 5  # generations after which the mean of a holder that stays is known better
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
@@ -146,7 +146,8 @@ class MeanSearch:
     ) -> tuple[State, Tuning, int, int]:
         """A tuning after an update, and the episodes and actions that this took."""
         before = self.fresh.episodes, self.fresh.executed
-        tuning, worth = update(tuning, self.setup.actions, self.fresh, generator)
+        most = state.spent.episodes // (LARGEST * SAMPLES)
+        tuning, worth = update(tuning, self.setup.actions, self.fresh, generator, most)
         episodes = self.fresh.episodes - before[0]
         spent = replace(state.spent, episodes=state.spent.episodes + episodes)
         state = replace(state, spent=spent, toll=state.toll or worth)
@@ -200,7 +201,10 @@ class MeanSearch:
         state, rival, won = self._mean_raced(state, rival, generator)
         if won:
             return replace(state, tuning=rival, rivals=others)
-        return replace(state, rivals=others if rival.stalled else (*others, rival))
+        if not rival.stalled:
+            return replace(state, rivals=(*others, rival))
+        more = rival.more() if rival.improving else None
+        return replace(state, rivals=others if more is None else (*others, more))
 
     def certain(self, state: State, generator: Generator) -> tuple[State, bool]:
         """The state with a mean that is known better, and whether it is at least the target."""

@@ -17,14 +17,14 @@ from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.lineages import tunable
 from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.improvement.paired_race import Fresh
-from cgtorch.improvement.spread import MANY, reliability
+from cgtorch.improvement.spread import MANY, Need
 
 MOST = 2048  # scenarios of an update
 MOST_FULL = 64  # parameters of which covariances are learned, as there are few updates
 SAMPLES = 20  # of an update at least, as luck is in what they are worth
 FEW = 8  # random parameters from which none is better
 EVERY = 5  # updates between two races of the mean
-LONG = 150  # updates, before which a tuning goes on if samples can be told apart
+CONVERGED = 0.02  # step size below which samples that can be told apart need no more scenarios
 PATIENCE = 6  # races lost in a row after which there are twice as many scenarios
 DOUBTFUL = 4  # races lost in a row after which a tuning is no longer preferred to others
 PROGRESS = 0.1  # relative improvement of samples that counts
@@ -45,7 +45,7 @@ class Tuning:
             no more than one that fails early (Mania et al., "Simple random search provides a
             competitive approach to reinforcement learning", 2018, section 4.1).
         lost: Races that the mean has lost in a row.
-        reliable: Whether samples of the last update could be told apart.
+        reliability: How well samples of the last updates could be told apart.
         recent: The mean values of the better half of samples, in each of the last updates.
         mark: The level when races were last lost in a row.
     """
@@ -55,7 +55,7 @@ class Tuning:
     scenarios: int
     toll: float = 0.0
     lost: int = 0
-    reliable: bool = False
+    reliability: float = Need.reliability
     recent: tuple[float, ...] = ()
     mark: float = -math.inf
 
@@ -101,6 +101,11 @@ class Tuning:
         """Whether the mean has lost several races in a row."""
         return self.lost >= PATIENCE
 
+    @property
+    def improving(self) -> bool:
+        """Whether samples have become better since races were last lost in a row."""
+        return self.level > self.mark + PROGRESS * min(abs(self.mark), 1e9)
+
     def more(self) -> "Tuning | None":
         """The tuning after it has stalled, with twice as many scenarios if luck hides differences.
 
@@ -108,11 +113,11 @@ class Tuning:
         nor further updates would help.
         """
         after = replace(self, lost=0, mark=max(self.mark, self.level))
-        if self.level > self.mark + PROGRESS * min(abs(self.mark), 1e9):
+        if self.improving:
             return after
-        if self.reliable:
-            return after if self.distribution.updates < LONG else None
-        if self.scenarios >= MOST:
+        if self.scenarios >= MOST or (
+            self.reliability > MANY and self.distribution.step < CONVERGED
+        ):
             return None
         return replace(after, scenarios=min(MOST, 2 * self.scenarios))
 
@@ -141,11 +146,12 @@ def calmed(graph: Graphs, actions: ActionSet) -> Graphs:
 
 
 def update(
-    tuning: Tuning, actions: ActionSet, fresh: Fresh, generator: Generator
+    tuning: Tuning, actions: ActionSet, fresh: Fresh, generator: Generator, most: int = MOST
 ) -> tuple[Tuning, float]:
     """The tuning after one update by samples, which meet the same fresh scenarios.
 
-    Returned is also what a transition was worth in them (`worth_of_transitions`).
+    If luck hides what differs between them, the next update has more scenarios, up to `most`.
+    Returned is also what a transition was worth (`worth_of_transitions`).
     """
     where = tunable(tuning.graph, actions)
     count = max(SAMPLES, usual_count(len(tuning.distribution.mean)))
@@ -156,10 +162,12 @@ def update(
     worth = (values - tuning.toll * lengths).mean(1)
     distribution = updated(tuning.distribution, drawn, worth)
     better = values.mean(1).sort(descending=True).values[: max(1, count // 2)]
+    need = Need(tuning.scenarios, tuning.reliability).after(values, most)
     after = replace(
         tuning,
         distribution=distribution,
-        reliable=tuning.scenarios > 1 and reliability(values) > MANY,
+        scenarios=max(tuning.scenarios, need.scenarios),
+        reliability=need.reliability,
         recent=(*tuning.recent, float(better.mean()))[-RECENT:],
     )
     return after, worth_of_transitions(values, lengths)

@@ -14,7 +14,6 @@ from cgtorch.improvement.tuning import (
     DOUBTFUL,
     EVERY,
     FEW,
-    LONG,
     MOST,
     PATIENCE,
     SAMPLES,
@@ -72,12 +71,18 @@ def test_an_update_plays_its_scenarios_and_leaves_the_graph() -> None:
     assert 0.5 < second.level <= 1
 
 
-def test_reliable_is_whether_samples_could_be_told_apart() -> None:
-    assert not tuned(0.5, 4, 1).reliable
+def test_luck_asks_for_more_scenarios_up_to_a_limit_and_never_for_fewer() -> None:
+    assert tuned(0.5, 4, 10).scenarios > 8
+    assert tuned(0.5, 1, 10).scenarios == 1  # as a single scenario tells nothing of luck
     wide = begun(staking(0.5).graph, ACTIONS, 2000)
     assert wide is not None
-    assert update(wide, ACTIONS, fresh(), seeded(0))[0].reliable
-    assert not tuned(0.5, 1, 1).reliable  # as a single scenario tells nothing of luck
+    known = update(wide, ACTIONS, fresh(), seeded(0))[0]
+    assert (known.scenarios, known.reliability > wide.reliability) == (2000, True)
+    few = begun(staking(0.5).graph, ACTIONS, 4)
+    assert few is not None
+    for _ in range(10):
+        few, _ = update(few, ACTIONS, fresh(), seeded(0), 6)
+    assert few.scenarios == 6
 
 
 def test_after_lost_races_there_are_twice_as_many_scenarios_until_that_is_no_use() -> None:
@@ -97,11 +102,10 @@ def test_after_lost_races_there_are_twice_as_many_scenarios_until_that_is_no_use
     assert last is not None
     assert last.scenarios == MOST
     assert last.more() is None
-    known = replace(tuning, reliable=True).more()
-    assert known is not None
-    assert (known.scenarios, known.stalled) == (600, False)
-    long = replace(tuning.distribution, updates=LONG)
-    assert replace(tuning, reliable=True, distribution=long).more() is None
+    small = replace(tuning, distribution=replace(tuning.distribution, step=0.01))
+    assert small.more() is not None
+    assert replace(small, reliability=0.9).more() is None
+    assert replace(tuning, reliability=0.9).more() is not None
 
 
 def test_races_come_after_some_updates() -> None:
