@@ -27,7 +27,7 @@ class Need:
         if smooth < FEW:
             count = max(count, min(MOST, most, -(-count * 3 // 2)))
         elif smooth > MANY:
-            count = max(FEWEST, count * 4 // 5)
+            count = min(count, max(FEWEST, count * 4 // 5))
         return Need(count, smooth)
 
 
