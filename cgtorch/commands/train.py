@@ -216,7 +216,7 @@ def command(context: click.Context, /, **options: Any) -> None:
             wanted["target_return"] = aims.pop("target")
         return TrainingRequest(goal=aims, budget=budget, **how)
 
-    named = own(**{name: wanted[name] for name in {"wrappers"} & set(wanted)})
+    named = own(**{name: wanted[name] for name in {"wrappers", "reward"} & set(wanted)})
     actions, domain, quiet = options["actions"], options["domain"], options["quiet"]
     domain = full_name(domain, with_name(domain, named))
     if options["resume"]:

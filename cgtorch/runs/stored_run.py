@@ -25,7 +25,7 @@ import torch
 
 from cgtorch import __version__, native
 from cgtorch.domains.check import check_domain, check_sizes
-from cgtorch.domains.domain import Adaptable, Domain, rewarded
+from cgtorch.domains.domain import Adaptable, Domain, Sparing, rewarded
 from cgtorch.domains.files import Files
 from cgtorch.domains.live import DriverDomain, Placements, on_robot
 from cgtorch.domains.models import Models
@@ -40,6 +40,7 @@ from cgtorch.domains.registry import (
     settings_class,
     spec_of,
 )
+from cgtorch.domains.rewarded_models import RewardedModels
 from cgtorch.domains.settings import from_plain, to_plain
 from cgtorch.graphs import ActionSet, check_action, resolve_actions
 from cgtorch.ground import distributed as ranks
@@ -102,13 +103,29 @@ class StoredRun:
     @property
     def learns(self) -> bool:
         """Whether its skills are evolved in Γ and C, not in the world itself."""
+        return self._has_models and not rewarded(self.domain)
+
+    @property
+    def imagines(self) -> bool:
+        """Whether its skills are evolved in a Γ with rewards."""
+        return self._has_models and rewarded(self.domain)
+
+    @property
+    def _has_models(self) -> bool:
         chosen = self.settings.models
         return self.domain.models is not None if chosen == "auto" else chosen == "learned"
 
     @property
     def models(self) -> Models[Any]:
         """The domain's inputs and fits of Γ and C."""
-        return (self.domain.models or Models)(self.domain)
+        kind = self.domain.models or Models
+        return kind(self.domain) if issubclass(kind, Models) else Models(self.domain)
+
+    @property
+    def reward_models(self) -> RewardedModels[Any]:
+        """The domain's inputs and fits of a Γ with rewards."""
+        kind = self.domain.models or RewardedModels
+        return kind(self.domain) if issubclass(kind, RewardedModels) else RewardedModels(self.domain)
 
     @property
     def pictures(self) -> Pictures[Any]:
@@ -279,6 +296,8 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(domain.kinds)}")
     if isinstance(domain, Adaptable):
         domain = domain.for_run(kind, settings.method)
+    if settings.models == "learned" and isinstance(domain, Sparing):
+        domain = domain.sparing()
     if (driver or not domain.repeats) and (count := ranks.count()) > 1:
         raise SettingsError(
             f"the world does not repeat itself, which {count} processes cannot share; train with "
@@ -300,12 +319,28 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
             check_sizes(name, action, *sizes)
             check_action(name, action, world)
     run = StoredRun(folder, settings, domain, actions, repeats)
-    if run.learns and rewarded(domain):
-        raise SettingsError(
-            f"domain {settings.domain!r} gives rewards, which Γ and C do not know; its skills are "
-            "evolved in the world itself: models 'none' (--models none)"
-        )
+    if run.imagines:
+        _check_imagined(run)
     return run
+
+
+def _check_imagined(run: StoredRun) -> None:
+    """SettingsError if a Γ with rewards cannot be learned in a run."""
+    s, domain = run.settings, run.domain
+    if s.models == "auto" and not issubclass(domain.models or Models, RewardedModels):
+        raise SettingsError(
+            f"domain {s.domain!r} gives rewards, which Γ and C do not know; evolve skills in a Γ "
+            "with rewards, with few steps in the world: models 'learned' (--models learned), or in "
+            "the world itself: models 'none' (--models none)"
+        )
+    if s.method != "compose" or not run.repeats or s.data:
+        given = "method 'paper'" if s.method != "compose" else "logged data (--data)"
+        given = given if run.repeats else "a world that does not repeat itself"
+        raise SettingsError(
+            f"domain {s.domain!r} gives rewards, and a Γ with rewards is not learned with {given}; "
+            "leave that out, or evolve in the world itself: models 'none' (--models none)"
+        )
+    run.reward_models  # noqa: B018  # whose limits are checked
 
 
 def _foreign(part: object) -> bool:

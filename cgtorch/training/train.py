@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from math import inf
+from math import inf, isfinite
 from typing import Any, TypeAlias
 
 import torch
@@ -32,6 +32,7 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.expected import improve_expected
 from cgtorch.improvement.grow import grow
+from cgtorch.improvement.imagined import improve_imagined
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress
 from cgtorch.runs.journal import FOLDER, forget, journal_of
@@ -249,9 +250,13 @@ def make_stage(
         setup = replace(setup, name=name, generator=generator, watch=listen)
         began, after = time.perf_counter(), before
         with _best_at_hand(training, again, tally), deadline(training.purse):
-            if not training.by_mean(before):
+            if run.imagines:
+                aim = target if isfinite(target) else run.domain.target_return
+                means = for_means(run, setup, aim)
+                after = improve_imagined(means, before, tests, draw, run.reward_models)
+            elif not training.by_mean(before):
                 after = METHODS[run.settings.method](setup, before, tests, draw)
-            if training.by_mean(after) and not training.purse.exhausted:
+            if not run.imagines and training.by_mean(after) and not training.purse.exhausted:
                 after = improve_expected(for_means(run, setup, target), after, tests, draw)
             tally.seconds = time.perf_counter() - began
         made = test(after, tally)
