@@ -52,7 +52,9 @@ class GivenReward:
         """Rewards (n,) and (n,) bool ends; DomainError if the function fails or gives others."""
         known, n = self._domain.known.scaling, len(before)
         seen, then = (p * known.scale + known.centre for p in (before.double(), after.double()))
-        actions = torch.from_numpy(np.asarray(self._domain.episodes.controls.actions(control.numpy())))
+        actions = torch.from_numpy(
+            np.asarray(self._domain.episodes.controls.actions(control.numpy()))
+        )
         name = self._domain.settings.reward
         found = foreign(
             lambda: self.function(seen, actions, then), f"reward {name!r} fails", "correct it"

@@ -10,8 +10,6 @@ contradicts what was seen: thresholds of single numbers, as few as separate all 
 percepts. If there are none, a support vector machine with hardly any tolerance separates them.
 """
 
-from typing import Self
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
@@ -74,6 +72,10 @@ class LearnedReward:
                 gain[ended] += self._bonus[nearest]
         return gain.to(before), ended
 
+    def doubt(self, before: Tensor, control: Tensor) -> Tensor:
+        """Standard deviations (n,) of rewards, in units of that of all rewards."""
+        return self._usual.deviation(_inputs(before, control))
+
     def _standardised(self, percept: Tensor) -> Tensor:
         return (percept.double() - self._mean) / self._scale
 
@@ -99,7 +101,9 @@ class Thresholds:
         while len(left):
             signed = [(going * sign, left * sign, sign) for sign in (1, -1)]
             edges = torch.stack([others.amax(0) for others, _, _ in signed])
-            beyond = torch.stack([own > edge for (_, own, _), edge in zip(signed, edges, strict=True)])
+            beyond = torch.stack(
+                [own > edge for (_, own, _), edge in zip(signed, edges, strict=True)]
+            )
             side, place = divmod(int(beyond.sum(1).argmax()), going.shape[1])
             met = beyond[side, :, place]
             if not bool(met.any()):
@@ -129,7 +133,7 @@ class Margin:
 
 
 class Usual:
-    """The mean of a Gaussian process of one number, from features (n, F)."""
+    """A Gaussian process of one number, from features (n, F)."""
 
     def __init__(self, x: Tensor, y: Tensor, free: Tensor | None) -> None:
         """Fit numbers y (n,) at features x (n, F); hyperparameters continue from `free`."""
@@ -145,7 +149,7 @@ class Usual:
         self.free = fitted_parameters(self.free, x[some], y[some], steps)
         self.kernel = Kernel.of(self.free)
         self.pivots = x[inducing_rows(self.kernel, x)]
-        self.weights, _ = projected(self.kernel, self.pivots, x, y)
+        self.weights, self._known = projected(self.kernel, self.pivots, x, y)
 
     def __call__(self, x: Tensor) -> Tensor:
         """Expected numbers (n,) at features (n, F)."""
@@ -153,6 +157,14 @@ class Usual:
             return torch.full((len(x),), self.shift, dtype=torch.float64)
         rows = (x - self.mean) / self.scale
         return self.shift + self.spread * (self.kernel(rows, self.pivots) @ self.weights)[:, 0]
+
+    def deviation(self, x: Tensor) -> Tensor:
+        """Standard deviations (n,) at features (n, F), in units of that of all numbers."""
+        if self.constant:
+            return torch.zeros(len(x), dtype=torch.float64)
+        rows = (x - self.mean) / self.scale
+        known = (self.kernel(rows, self.pivots) @ self._known).square().sum(1)
+        return (self.kernel.alone(rows) - known).clamp_min(0).sqrt()
 
 
 def _inputs(percept: Tensor, control: Tensor) -> Tensor:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Self
 
-import torch
 from torch import Tensor
 
 from cgtorch.ground.fields import Field, bounds_of

@@ -1,7 +1,8 @@
 """Γ of a domain with rewards, what steps give there, and how episodes are imagined from it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
@@ -149,13 +150,15 @@ class Known:
 
     def curious(self, count: int, most_steps: int, generator: Generator) -> RewardedModel:
         """Γ as such a world that rewards coming to where it knows little, up to 1 a step."""
-        return self._world(CuriousModel, count, most_steps, generator)
+        doubt = getattr(self.reward, "doubt", None)
+        kind = partial(CuriousModel, doubt=doubt)
+        return self._world(kind, count, most_steps, generator)
 
     def begun_at(self, start: Tensor, count: int, most_steps: int, generator: Generator) -> Any:
         """`world`, in which all episodes begin with the same percept (1, D)."""
         return replace(self, starts=start).world(count, most_steps, generator)
 
-    def _world(self, kind: type[RewardedModel], count: int, most: int, generator: Generator) -> Any:
+    def _world(self, kind: Callable[..., Any], count: int, most: int, generator: Generator) -> Any:
         steps = int(min(most, self.models.most_steps))
         starts = Imagined.drawn(self.starts.double(), count, generator)
         least = float(self.steps.reward.min())

@@ -3,13 +3,14 @@
 1. First percepts of some episodes are looked at, and short episodes of random controls are played.
    A transition model Γ, rewards and ends of episodes are learned from these steps.
 2. Graphs are evolved in imagined episodes, with other starts and errors of Γ in each generation.
-3. A champion that is good enough there, beyond what chance may have added, is played once in the
-   world, and the models learn from that. It is offered if this episode is good enough, or if the
-   world gives what was imagined for it. What an offer is worth is decided by fresh episodes after
+3. If a champion is good enough there, beyond what chance may add on fresh episodes, and there is no
+   better one for some generations, it is played once in the world, and the models learn from that.
+   One that is almost so is only played if they would learn from it. It is offered if this episode is good enough,
+   or if the world gives what was imagined for it, and if it still is good enough. What an offer is worth is decided by fresh episodes after
    the stage. If that is too little, the next round is more careful.
 4. Where there is no good champion for some generations, the best one is played if models would
    learn from it, and else a graph that is evolved to come to where Γ is unsure (an exploration
-   bonus), or if there is none, the best one for a few steps, to see another start.
+   bonus), if there is one.
 
 This is what PILCO does with policies of one structure (Deisenroth and Rasmussen, ICML 2011).
 """
@@ -62,9 +63,8 @@ from cgtorch.simulation import rollout
 EACH = 8
 """Imagined episodes of an individual; each generation has other ones."""
 EPISODES, SHORT = 4, 25
-"""Episodes of random controls to begin with, and steps after which they are broken off, and after
-which episodes are that only show another start."""
-LOOKS = 64
+"""Episodes of random controls to begin with, and steps after which they are broken off."""
+LOOKS = 500
 """First percepts of episodes that are looked at, without a step."""
 CHANGES = (1.0, 0.25, 0.06)
 """Chances of another control in each step; an episode has one of them."""
@@ -72,8 +72,12 @@ HORIZON, LONG = 1000, 2000
 """Steps of an imagined episode at most, and of those that a champion has to get right."""
 CURIOUS_STEPS, EXPLORING = 100, 10
 """Steps of an episode at most that is to explore, and generations of the search for its graph."""
-SURE = 64
+STALL = 10
+"""Generations without a better champion after which the best one is played: they cost nothing."""
+SURE = 500
 """Imagined episodes by which a champion is judged before it is played in the world."""
+FRESH = 100
+"""Fresh episodes by which an offer is judged, whose mean is not that of all."""
 TELLING = 0.03
 """How unsure Γ is on average, of 1 where it knows nothing, in episodes that it learns from."""
 MOST_CAUTIOUS = 3
@@ -132,19 +136,24 @@ class Search:
             generations=state.generations + 1,
             transitions=state.transitions + generation.transitions,
         )
-        good, mean, error = generation.best >= self.wanted(HORIZON), -inf, inf
-        if good:
-            mean, error = self.promised(graphs, state.known.world(SURE, LONG, generator))
-        if not (good and self.surely(state, mean, error)) and state.waited < state.patience:
+        if generation.best >= self.wanted(HORIZON):
+            state = self._considered(state, graphs)
+        if state.candidate is not None:
+            if state.since < STALL:
+                return replace(state, since=state.since + 1), False
+            worlds = state.known.world(SURE, LONG, generator)
+            sure = self.surely(state, *self.promised(state.candidate, worlds))
+            if sure or self.telling(state.candidate, state.known, generator):
+                return self._champion_played(state, state.candidate, generator)
+            return replace(state, since=0), False
+        if state.waited < state.patience:
             return state, False
         state = replace(state, waited=0)
-        if good or self.telling(graphs, state.known, generator):
-            return self._champion_played(state, graphs, mean - self.wanted(LONG), generator)
+        if self.telling(graphs, state.known, generator):
+            return self._champion_played(state, graphs, generator)
         curious = self.exploring(state.known, generator)
         if self.telling(curious, state.known, generator):
             return self._explored(state, graphs, curious, generator)
-        # What is still unknown is where episodes begin.
-        state, _, _ = self._played(state, graphs, CURIOUS, SHORT, generator)
         return replace(state, patience=state.patience + PATIENCE), False
 
     def _explored(
@@ -169,22 +178,36 @@ class Search:
         cautious = min(1 + state.known.offered, MOST_CAUTIOUS)
         return mean - self.wanted(LONG) >= cautious * error
 
+    def _considered(self, state: State, graphs: Graphs) -> State:
+        """The state with a good champion as the candidate, if more is imagined for it.
+
+        All candidates meet the same episodes while nothing new is known.
+        """
+        same = Generator().manual_seed(len(state.known.steps))
+        mean, _ = self.promised(graphs, state.known.world(SURE, LONG, same))
+        if state.candidate is not None and mean <= state.hope:
+            return state
+        return replace(state, candidate=graphs, hope=mean, since=0)
+
     def _champion_played(
-        self, state: State, graphs: Graphs, margin: float, generator: Generator
+        self, state: State, graphs: Graphs, generator: Generator
     ) -> tuple[State, bool]:
-        """The state after an episode of a champion, and whether it is offered."""
+        """The state after an episode of a champion, and whether it is offered.
+
+        It is if the episode was good enough, or gave what was imagined for a good skill, and if
+        enough is imagined for it by now.
+        """
+        worlds = state.known.world(SURE, LONG, generator)
+        margin = self.promised(graphs, worlds)[0] - self.wanted(LONG)
         state, reached, short = self._played(state, graphs, CHAMPIONS, HORIZON, generator)
-        setup, offered = self.setup, False
-        if margin > -inf:
-            offered = reached >= self.wanted(HORIZON) or short <= margin
-        skill = self.skill_of(graphs)
-        mean = None if reached == -inf else reached
-        setup.watch(
-            MeanTested(setup.name, skill, offered, mean, None, 1, EACH, state.episodes)
-        )
-        promised, _ = self.promised(graphs, state.known.world(SURE, LONG, generator))
-        if offered or state.skill is None or promised > state.promised:
-            state = replace(state, skill=skill, promised=promised)
+        mean, error = self.promised(graphs, state.known.world(SURE, LONG, generator))
+        kept = reached >= self.wanted(HORIZON) or (margin >= 0 and short <= margin)
+        offered = kept and self.surely(state, mean, error)
+        setup, skill = self.setup, self.skill_of(graphs)
+        told = None if reached == -inf else reached
+        setup.watch(MeanTested(setup.name, skill, offered, told, None, 1, EACH, state.episodes))
+        if offered or state.skill is None or mean > state.promised:
+            state = replace(state, skill=skill, promised=mean)
         return state, offered
 
     def _played(
@@ -200,7 +223,7 @@ class Search:
             here = known.begun_at(start, SURE, most, generator)
             said = float(self.imagined(graphs, here).mean())
             known = known.after(start, steps)
-        state = state.met(known, phase, asked)
+        state = replace(state.met(known, phase, asked), candidate=None, waited=0)
         returned = None if reached == -inf else reached
         about = returned, asked.motions, state.steps
         setup.watch(EpisodePlayed(setup.name, phase, *about))
@@ -213,9 +236,9 @@ class Search:
         return torch.full((1,), -torch.inf) if found.returns is None else found.returns[0]
 
     def promised(self, graphs: Graphs, world: Environment) -> tuple[float, float]:
-        """The mean return of a graph in imagined episodes, and the standard error of that."""
+        """The mean return of a graph in imagined episodes, and its standard error on fresh ones."""
         returns = self.imagined(graphs, world).double()
-        error = returns.std() / len(returns) ** 0.5
+        error = returns.std() / FRESH**0.5
         return float(returns.mean()), float(error.nan_to_num(nan=torch.inf))
 
     def telling(self, graphs: Graphs, known: Known, generator: Generator) -> bool:
@@ -268,7 +291,10 @@ def improve_imagined(
         state, islands = _recalled(search, progress, derived_generator(own, BEGIN))
     except BudgetSpentError:  # before anything is known
         return progress
-    about, most = (environment, setup.actions, setup.evolution, setup.generator), setup.max_transitions
+    about, most = (
+        (environment, setup.actions, setup.evolution, setup.generator),
+        setup.max_transitions,
+    )
     generations = evolve(*about, islands=islands, max_transitions=most)
     with suppress(BudgetSpentError):  # when the time or the budget is over
         while not (offered or state.generations >= limit or setup.purse.late()):

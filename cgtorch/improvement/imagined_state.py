@@ -114,6 +114,9 @@ class State:
         episodes: Episodes in the world.
         asked: What the world was asked, by phase (`PHASES`).
         seed: A graph with which the search begins again next.
+        candidate: The champion for which most is imagined since the last episode in the world.
+        hope: The mean return that is imagined for it.
+        since: Generations since it was found.
     """
 
     known: Known
@@ -126,6 +129,9 @@ class State:
     episodes: int = 0
     asked: Mapping[str, Asked] = field(default_factory=dict)
     seed: Graphs | None = None
+    candidate: Graphs | None = None
+    hope: float = -inf
+    since: int = 0
 
     @property
     def steps(self) -> int:
@@ -141,18 +147,26 @@ class State:
 
 def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
     """The tensors that `state_from_tensors` reads; the skill that was `given` is not among them."""
-    counts = state.waited, state.patience, state.generations, state.transitions, state.episodes
+    counts = (
+        state.waited, state.patience, state.generations, state.transitions, state.episodes,
+        state.since,
+    )  # fmt: skip
     found = {
         **{f"known.{name}": tensor for name, tensor in state.known.tensors().items()},
-        "promised": torch.tensor(state.promised, dtype=torch.float64),
+        "promised": torch.tensor([state.promised, state.hope], dtype=torch.float64),
         "spent": torch.tensor(counts),
         "world": torch.tensor([astuple(state.asked.get(phase, NOTHING)) for phase in PHASES]),
         "held": torch.tensor(state.skill is not None),
     }
     if state.skill is not None and state.skill is not given:
-        alone = Population(state.skill.graph, initial_strategy(1))
-        found |= population_tensors("skill", alone)
+        found |= population_tensors("skill", _alone(state.skill.graph))
+    if state.candidate is not None:
+        found |= population_tensors("candidate", _alone(state.candidate))
     return found
+
+
+def _alone(graphs: Graphs) -> Population:
+    return Population(graphs, initial_strategy(1))
 
 
 def state_from_tensors(
@@ -170,12 +184,17 @@ def state_from_tensors(
     own = {name.removeprefix(begin): x for name, x in tensors.items() if name.startswith(begin)}
     known = models.recalled(own)
     with damage():
-        waited, patience, *counts = tensors["spent"].tolist()
+        waited, patience, *counts, since = tensors["spent"].tolist()
         rows = zip(PHASES, tensors["world"].tolist(), strict=True)
         asked = {phase: Asked(*row) for phase, row in rows}
         every = {phase: each for phase, each in asked.items() if each != NOTHING}
         skill = given if bool(tensors["held"]) else None
         if "skill.action" in tensors:
             skill = replace(like, graph=population_named("skill", tensors, actions)[:1].graphs)
-        about = known, skill, float(tensors["promised"]), waited, patience
-        return State(*about, *counts, asked=every)
+        candidate = None
+        if "candidate.action" in tensors:
+            candidate = population_named("candidate", tensors, actions)[:1].graphs
+        promised, hope = tensors["promised"].tolist()
+        about = known, skill, promised, waited, patience
+        last = {"candidate": candidate, "hope": hope, "since": since}
+        return State(*about, *counts, asked=every, **last)

@@ -68,7 +68,8 @@ class OneEpisode:
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """See `Environment.step`."""
-        self.purse.pay(self.phase, Asked(motions=len(lanes)))
+        able = control.isfinite().all(1) & ~self.world.over(lanes)  # others are not carried out
+        self.purse.pay(self.phase, Asked(motions=int(able.sum())))
         after, done = self.world.step(lanes, control)
         gain = (self.world.returns(after) - self.world.returns(lanes)).double()
         ended = self.world.over(after) & (len(self.steps) + 1 < self.limit)

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 
 from cgtorch.domains.knowledge import Knowledge, swift_gamma
+from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.rewarded_models import NAMES as COLUMNS_OF_KNOWN
 from cgtorch.domains.rewarded_models import Known
-from cgtorch.domains.reports import SuccessReport, TransitionReport
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.evolution import Population, population_from

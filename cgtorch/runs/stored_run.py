@@ -125,7 +125,9 @@ class StoredRun:
     def reward_models(self) -> RewardedModels[Any]:
         """The domain's inputs and fits of a Γ with rewards."""
         kind = self.domain.models or RewardedModels
-        return kind(self.domain) if issubclass(kind, RewardedModels) else RewardedModels(self.domain)
+        return (
+            kind(self.domain) if issubclass(kind, RewardedModels) else RewardedModels(self.domain)
+        )
 
     @property
     def pictures(self) -> Pictures[Any]:
