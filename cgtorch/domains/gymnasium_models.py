@@ -37,8 +37,8 @@ class GymnasiumModels(RewardedModels["Gymnasium"]):
         """See `RewardedModels.limits`; numbers that are scaled have scaled bounds."""
         found, scaling = super().limits(percepts), self.domain.known.scaling
         low, high = bounds_of_percepts(self.domain.episodes.percepts)
-        ends = ((end - scaling.centre) / scaling.scale for end in (low, high))
-        return Limits(*ends, found.circles)
+        low, high = ((end - scaling.centre) / scaling.scale for end in (low, high))
+        return Limits(low, high, found.circles)
 
 
 class GivenReward:

@@ -56,6 +56,8 @@ class Limits:
 def circles_in(percepts: Tensor) -> tuple[tuple[int, int, float], ...]:
     """The circles around 0 on which pairs of the numbers of percepts (n, D) move."""
     found, taken = list[tuple[int, int, float]](), set[int]()
+    if len(percepts) < 2:
+        return ()
     for i, j in combinations(range(percepts.shape[1]), 2):
         radius = percepts[:, [i, j]].norm(dim=1)
         size, spread = float(radius.mean()), float(radius.std())

@@ -199,7 +199,7 @@ def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
         )
     if rewards and named.reward not in ("", rewards[0]):
         raise DomainError(f"domain {spec!r} names another reward than {named.reward}; give it once")
-    code = {"wrappers": tuple(wrappers)} if wrappers else {}
+    code: dict[str, Any] = {"wrappers": tuple(wrappers)} if wrappers else {}
     code |= {"reward": rewards[0]} if rewards else {}
     found: DomainSettings = replace(named, **code)
     return found

@@ -52,7 +52,7 @@ class Imagined(ScenarioBatch):
 
     @classmethod
     def drawn(cls, percept: Tensor, count: int, generator: Generator) -> Self:
-        """`count` starts, drawn from percepts (b, D), each of which is as frequent as the others."""
+        """`count` starts from percepts (b, D), each of which is as frequent as the others."""
         orders = -(-count // len(percept))
         some = [torch.randperm(len(percept), generator=generator) for _ in range(orders)]
         error = torch.randn(count, percept.shape[1], generator=generator).to(percept)
@@ -152,7 +152,7 @@ class CuriousModel(RewardedModel):
     """
 
     def __init__(self, *given: Any, doubt: Doubt | None = None, **named: Any) -> None:
-        """See `RewardedModel`; `unknown` is not used, and `doubt` is None for rewards that are given."""
+        """See `RewardedModel`; `unknown` is not used. Rewards without `doubt` are known."""
         super().__init__(*given, **named)
         self.unknown, self.doubt = 1.0, doubt
 

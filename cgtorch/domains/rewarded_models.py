@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import torch
 from torch import Generator, Tensor
@@ -38,7 +38,7 @@ class RewardedModels(Generic[D]):
         most_steps: Steps after which the world ends an episode by itself; inf if it never does.
     """
 
-    reward: ClassVar[Reward | None] = None
+    reward: Reward | None = None
     most_steps: float = inf
 
     def __init__(self, domain: D) -> None:

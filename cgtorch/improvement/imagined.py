@@ -5,9 +5,10 @@
 2. Graphs are evolved in imagined episodes, with other starts and errors of Γ in each generation.
 3. If a champion is good enough there, beyond what chance may add on fresh episodes, and there is no
    better one for some generations, it is played once in the world, and the models learn from that.
-   One that is almost so is only played if they would learn from it. It is offered if this episode is good enough,
-   or if the world gives what was imagined for it, and if it still is good enough. What an offer is worth is decided by fresh episodes after
-   the stage. If that is too little, the next round is more careful.
+   One that is almost so is only played if they would learn from it.
+   It is offered if this episode is good enough, or if the world gives what was imagined for it, and
+   if it still is good enough. What an offer is worth is decided by fresh episodes after the stage.
+   If that is too little, the next round is more careful.
 4. Where there is no good champion for some generations, the best one is played if models would
    learn from it, and else a graph that is evolved to come to where Γ is unsure (an exploration
    bonus), if there is one.

@@ -184,7 +184,7 @@ def state_from_tensors(
     own = {name.removeprefix(begin): x for name, x in tensors.items() if name.startswith(begin)}
     known = models.recalled(own)
     with damage():
-        waited, patience, *counts, since = tensors["spent"].tolist()
+        waited, patience, generations, transitions, episodes, since = tensors["spent"].tolist()
         rows = zip(PHASES, tensors["world"].tolist(), strict=True)
         asked = {phase: Asked(*row) for phase, row in rows}
         every = {phase: each for phase, each in asked.items() if each != NOTHING}
@@ -195,6 +195,5 @@ def state_from_tensors(
         if "candidate.action" in tensors:
             candidate = population_named("candidate", tensors, actions)[:1].graphs
         promised, hope = tensors["promised"].tolist()
-        about = known, skill, promised, waited, patience
-        last = {"candidate": candidate, "hope": hope, "since": since}
-        return State(*about, *counts, asked=every, **last)
+        spent = waited, patience, generations, transitions, episodes
+        return State(known, skill, promised, *spent, every, None, candidate, hope, since)
