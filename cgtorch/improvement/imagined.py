@@ -2,14 +2,13 @@
 
 1. First percepts of some episodes are looked at, and short episodes of random controls are played.
    A transition model Γ, rewards and ends of episodes are learned from these steps.
-2. Graphs are evolved in imagined episodes, with other starts and errors of Γ in each generation.
-3. If a champion is good enough there, beyond what chance may add on fresh episodes, and there is no
-   better one for some generations, it is played once in the world, and the models learn from that.
-   One that is almost so is only played if they would learn from it.
-   It is offered if this episode is good enough, or if the world gives what was imagined for it, and
-   if it still is good enough. What an offer is worth is decided by fresh episodes after the stage.
-   If that is too little, the next round is more careful.
-4. Where there is no good champion for some generations, the best one is played if models would
+2. Graphs are evolved for the best mean in imagined episodes (`cgtorch.improvement.expected`), with
+   other starts and errors of Γ in each generation.
+3. Once the best is surely good enough there, it is played once in the world, and the models learn
+   from that. It is offered if this episode is good enough, or if the world gives what was imagined
+   for it, and if it still is good enough. What an offer is worth is decided by fresh episodes after
+   the stage. If that is too little, the next round is more careful.
+4. Where there is no such skill for some generations, the champion is played if models would
    learn from it, and else a graph that is evolved to come to where Γ is unsure (an exploration
    bonus), if there is one.
 
@@ -32,6 +31,7 @@ from cgtorch.graphs import Graphs, Skill, compacted, merged
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NOTHING, Asked, BudgetSpentError
 from cgtorch.ground.environment import Environment
+from cgtorch.improvement import expected
 from cgtorch.improvement.checkpoint import Found, checkpoint_of, found_from, islands_from
 from cgtorch.improvement.events import (
     EpisodePlayed,
@@ -56,25 +56,24 @@ from cgtorch.improvement.imagined_state import (
     state_from_tensors,
     tensors_of_state,
 )
+from cgtorch.improvement.paired_race import Fresh, Holder
 from cgtorch.improvement.played import OneEpisode, Steps, played, tried_out
 from cgtorch.improvement.setup import Draw, Progress, Setup
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.simulation import rollout
 
 EACH = 8
-"""Imagined episodes of an individual; each generation has other ones."""
+"""Imagined episodes of an individual that explores; each generation has other ones."""
 EPISODES, SHORT = 4, 25
 """Episodes of random controls to begin with, and steps after which they are broken off."""
 LOOKS = 500
 """First percepts of episodes that are looked at, without a step."""
 CHANGES = (1.0, 0.25, 0.06)
 """Chances of another control in each step; an episode has one of them."""
-HORIZON, LONG = 1000, 2000
-"""Steps of an imagined episode at most, and of those that a champion has to get right."""
+HORIZON = 1000
+"""Steps of an imagined episode at most."""
 CURIOUS_STEPS, EXPLORING = 100, 10
 """Steps of an episode at most that is to explore, and generations of the search for its graph."""
-STALL = 10
-"""Generations without a better champion after which the best one is played: they cost nothing."""
 SURE = 500
 """Imagined episodes by which a champion is judged before it is played in the world."""
 FRESH = 100
@@ -98,6 +97,16 @@ class Search:
     def wanted(self, most_steps: int) -> float:
         """The return of episodes broken off after so many steps that goes with the target."""
         return self.setup.budget.satisfied * min(1.0, most_steps / self.models.most_steps)
+
+    def in_models(self, known: Known) -> expected.Search:
+        """A search for the best mean of imagined episodes."""
+
+        def world(count: int, generator: Generator) -> Environment:
+            return known.world(count, HORIZON, generator)
+
+        budget = replace(self.setup.budget, satisfied=self.wanted(HORIZON))
+        setup = replace(self.setup, budget=budget)
+        return expected.Search(setup, Fresh(world, setup.max_transitions))
 
     def begun(self, generator: Generator) -> State:
         """What is known after looks and episodes of random controls."""
@@ -130,28 +139,21 @@ class Search:
         self, state: State, generation: Generation, generator: Generator
     ) -> tuple[State, bool]:
         """The state after a generation, and whether its skill is offered."""
-        graphs = generation.champion.graphs
-        state = replace(
-            state,
-            waited=state.waited + 1,
-            generations=state.generations + 1,
-            transitions=state.transitions + generation.transitions,
-        )
-        if generation.best >= self.wanted(HORIZON):
-            state = self._considered(state, graphs)
-        if state.candidate is not None:
-            if state.since < STALL:
-                return replace(state, since=state.since + 1), False
-            worlds = state.known.world(SURE, LONG, generator)
-            sure = self.surely(state, *self.promised(state.candidate, worlds))
-            if sure or self.telling(state.candidate, state.known, generator):
-                return self._champion_played(state, state.candidate, generator)
-            return replace(state, since=0), False
+        search = self.in_models(state.known)
+        inner = search.after(state.inner, generation, generator)
+        inner, certain = search.certain(inner, generator)
+        state = replace(state, inner=inner, waited=state.waited + 1)
+        if (
+            certain
+            and inner.holder is not None
+            and self.surely(state, inner.holder.skill, generator)
+        ):
+            return self._champion_played(state, inner.holder.skill, generator)
         if state.waited < state.patience:
             return state, False
-        state = replace(state, waited=0)
+        state, graphs = replace(state, waited=0), generation.champion.graphs
         if self.telling(graphs, state.known, generator):
-            return self._champion_played(state, graphs, generator)
+            return self._champion_played(state, self.skill_of(graphs), generator)
         curious = self.exploring(state.known, generator)
         if self.telling(curious, state.known, generator):
             return self._explored(state, graphs, curious, generator)
@@ -166,50 +168,37 @@ class Search:
         champion, the search begins again with it.
         """
         state, reached, _ = self._played(state, curious, CURIOUS, CURIOUS_STEPS, generator)
-        worlds = state.known.world(SURE, LONG, generator)
-        mean, error = self.promised(curious, worlds)
-        ended = bool(state.known.steps.ended[-1])
-        if ended and reached >= self.wanted(HORIZON) and self.surely(state, mean, error):
-            return replace(state, skill=self.skill_of(curious), promised=mean), True
-        better = mean > self.promised(graphs, worlds)[0]
+        skill, worlds = self.skill_of(curious), state.known.world(SURE, HORIZON, generator)
+        good = bool(state.known.steps.ended[-1]) and reached >= self.wanted(HORIZON)
+        if good and self.surely(state, skill, generator):
+            return replace(state, skill=skill), True
+        better = self.promised(curious, worlds)[0] > self.promised(graphs, worlds)[0]
         return replace(state, seed=curious if better else None), False
 
-    def surely(self, state: State, mean: float, error: float) -> bool:
-        """Whether an imagined mean return is enough, beyond what chance may have added."""
+    def surely(self, state: State, skill: Skill, generator: Generator) -> bool:
+        """Whether enough is imagined for a skill, beyond what chance may add on fresh episodes."""
         cautious = min(1 + state.known.offered, MOST_CAUTIOUS)
-        return mean - self.wanted(LONG) >= cautious * error
-
-    def _considered(self, state: State, graphs: Graphs) -> State:
-        """The state with a good champion as the candidate, if more is imagined for it.
-
-        All candidates meet the same episodes while nothing new is known.
-        """
-        same = Generator().manual_seed(len(state.known.steps))
-        mean, _ = self.promised(graphs, state.known.world(SURE, LONG, same))
-        if state.candidate is not None and mean <= state.hope:
-            return state
-        return replace(state, candidate=graphs, hope=mean, since=0)
+        worlds = state.known.world(SURE, HORIZON, generator)
+        mean, error = self.promised(skill.graph, worlds)
+        return mean - self.wanted(HORIZON) >= cautious * error
 
     def _champion_played(
-        self, state: State, graphs: Graphs, generator: Generator
+        self, state: State, skill: Skill, generator: Generator
     ) -> tuple[State, bool]:
         """The state after an episode of a champion, and whether it is offered.
 
         It is if the episode was good enough, or gave what was imagined for a good skill, and if
         enough is imagined for it by now.
         """
-        worlds = state.known.world(SURE, LONG, generator)
-        margin = self.promised(graphs, worlds)[0] - self.wanted(LONG)
-        state, reached, short = self._played(state, graphs, CHAMPIONS, HORIZON, generator)
-        mean, error = self.promised(graphs, state.known.world(SURE, LONG, generator))
+        worlds = state.known.world(SURE, HORIZON, generator)
+        margin = self.promised(skill.graph, worlds)[0] - self.wanted(HORIZON)
+        state, reached, short = self._played(state, skill.graph, CHAMPIONS, HORIZON, generator)
         kept = reached >= self.wanted(HORIZON) or (margin >= 0 and short <= margin)
-        offered = kept and self.surely(state, mean, error)
-        setup, skill = self.setup, self.skill_of(graphs)
+        offered = kept and self.surely(state, skill, generator)
         told = None if reached == -inf else reached
-        setup.watch(MeanTested(setup.name, skill, offered, told, None, 1, EACH, state.episodes))
-        if offered or state.skill is None or mean > state.promised:
-            state = replace(state, skill=skill, promised=mean)
-        return state, offered
+        about = self.setup.name, skill, offered, told, None, 1
+        self.setup.watch(MeanTested(*about, state.inner.need.scenarios, state.episodes))
+        return (replace(state, skill=skill) if offered else state), offered
 
     def _played(
         self, state: State, graphs: Graphs, phase: str, most: int, generator: Generator
@@ -224,7 +213,7 @@ class Search:
             here = known.begun_at(start, SURE, most, generator)
             said = float(self.imagined(graphs, here).mean())
             known = known.after(start, steps)
-        state = replace(state.met(known, phase, asked), candidate=None, waited=0)
+        state = state.met(known, phase, asked)
         returned = None if reached == -inf else reached
         about = returned, asked.motions, state.steps
         setup.watch(EpisodePlayed(setup.name, phase, *about))
@@ -284,10 +273,11 @@ def improve_imagined(
     own, search = Generator().manual_seed(seed), Search(setup, models, draw)
 
     def environment(number: int) -> Environment:
-        return state.known.world(EACH, HORIZON, derived_generator(own, 2 * state.generations + 1))
+        generator = derived_generator(own, 2 * state.generations + 1)
+        return state.known.world(state.inner.need.scenarios, HORIZON, generator)
 
     limit, first = setup.attempts * setup.budget.generations, time.perf_counter()
-    began, graphs, offered = first, None, False
+    began, offered = first, False
     try:
         state, islands = _recalled(search, progress, derived_generator(own, BEGIN))
     except BudgetSpentError:  # before anything is known
@@ -300,7 +290,6 @@ def improve_imagined(
     with suppress(BudgetSpentError):  # when the time or the budget is over
         while not (offered or state.generations >= limit or setup.purse.late()):
             generation = next(generations)
-            graphs = generation.champion.graphs
             _record(setup, progress, state, generation)
             generator = derived_generator(own, 2 * state.generations + 2)
             state, offered = search.after(state, generation, generator)
@@ -314,8 +303,8 @@ def improve_imagined(
                 generations = evolve(*about, islands=islands, max_transitions=most)
                 state = replace(state, seed=None)
     skill = state.skill
-    if skill is None and graphs is not None:
-        skill = search.skill_of(graphs)
+    if skill is None and state.inner.holder is not None:
+        skill = state.inner.holder.skill
     known = state.known.refused() if offered else state.known  # or there is no next round
     return _ended(setup, replace(progress, knowledge=known), skill, tests, first)
 
@@ -362,8 +351,7 @@ def _recalled(
     if checkpoint is None:
         state = search.begun(generator) if known is None else State(known)
         if (skill := progress.skill) is not None:
-            worlds = state.known.world(SURE, LONG, generator)
-            state = replace(state, skill=skill, promised=search.promised(skill.graph, worlds)[0])
+            state = replace(state, inner=replace(state.inner, holder=Holder(skill)))
         return state, _founded(setup, progress.specialists, 0)
     about, count = checkpoint.about, setup.evolution.islands
     found = found_from(about, setup.actions, 0)
@@ -380,7 +368,7 @@ def _record(
 ) -> None:
     """Record a checkpoint from which the generation is evaluated again."""
     champion, nothing = generation.champion, torch.zeros(0, dtype=torch.bool)
-    counts = 0, state.generations, state.transitions
+    counts = 0, state.generations, state.inner.spent.transitions
     checkpoint = checkpoint_of(
         Found(champion, nothing, -inf, *counts), generation.islands, setup.evolution.islands
     )

@@ -2,18 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, replace
-from math import inf
 from typing import Any, Protocol, Self
 
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.evolution import Population
-from cgtorch.evolution.ask_and_tell import damage, population_named, population_tensors
-from cgtorch.evolution.population import initial_strategy
+from cgtorch.evolution.ask_and_tell import damage
 from cgtorch.graphs import ActionSet, Graphs, Skill
 from cgtorch.ground.asked import NOTHING, Asked
 from cgtorch.ground.environment import Environment
+from cgtorch.improvement import expected_state as expected
+from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.played import Steps
 
 PHASES = RANDOM, CHAMPIONS, CURIOUS, STARTS = (
@@ -23,6 +22,8 @@ PHASES = RANDOM, CHAMPIONS, CURIOUS, STARTS = (
     "starts",
 )
 """For what the world is asked."""
+KNOWN = "known."
+"""Begins the names of tensors of what is known."""
 PATIENCE = 10
 """Generations that a good champion is waited for at first, and by how many more once there is
 nothing left to explore."""
@@ -105,33 +106,28 @@ class State:
 
     Attributes:
         known: What is known of the world.
-        skill: The best skill so far; None before any was played.
-        promised: The mean return that was imagined for it when it was played.
+        inner: The search for the best mean in imagined episodes.
+        skill: The skill that is offered, if there is one.
         waited: Generations since an episode in the world.
         patience: Generations to wait for a good champion.
-        generations: Generations so far.
-        transitions: Transitions of generations.
         episodes: Episodes in the world.
         asked: What the world was asked, by phase (`PHASES`).
         seed: A graph with which the search begins again next.
-        candidate: The champion for which most is imagined since the last episode in the world.
-        hope: The mean return that is imagined for it.
-        since: Generations since it was found.
     """
 
     known: Known
+    inner: expected.State = field(default_factory=expected.State)
     skill: Skill | None = None
-    promised: float = -inf
     waited: int = 0
     patience: int = PATIENCE
-    generations: int = 0
-    transitions: int = 0
     episodes: int = 0
     asked: Mapping[str, Asked] = field(default_factory=dict)
     seed: Graphs | None = None
-    candidate: Graphs | None = None
-    hope: float = -inf
-    since: int = 0
+
+    @property
+    def generations(self) -> int:
+        """The number of generations so far."""
+        return self.inner.spent.generations
 
     @property
     def steps(self) -> int:
@@ -141,32 +137,21 @@ class State:
     def met(self, known: Known, phase: str, asked: Asked) -> "State":
         """The state after the world was asked something, from which all was learned."""
         every = {**self.asked, phase: self.asked.get(phase, NOTHING) + asked}
-        episodes = self.episodes + asked.episodes
-        return replace(self, known=known, asked=every, episodes=episodes)
+        inner, episodes = self.inner, self.episodes + asked.episodes
+        if inner.holder is not None:  # of which other returns are imagined by now
+            inner = replace(inner, holder=Holder(inner.holder.skill))
+        return replace(self, known=known, asked=every, episodes=episodes, inner=inner, waited=0)
 
 
 def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
     """The tensors that `state_from_tensors` reads; the skill that was `given` is not among them."""
-    counts = (
-        state.waited, state.patience, state.generations, state.transitions, state.episodes,
-        state.since,
-    )  # fmt: skip
-    found = {
-        **{f"known.{name}": tensor for name, tensor in state.known.tensors().items()},
-        "promised": torch.tensor([state.promised, state.hope], dtype=torch.float64),
-        "spent": torch.tensor(counts),
+    counts = state.waited, state.patience, state.episodes
+    return {
+        **{f"{KNOWN}{name}": tensor for name, tensor in state.known.tensors().items()},
+        **expected.tensors_of_state(state.inner, given),
+        "waited": torch.tensor(counts),
         "world": torch.tensor([astuple(state.asked.get(phase, NOTHING)) for phase in PHASES]),
-        "held": torch.tensor(state.skill is not None),
     }
-    if state.skill is not None and state.skill is not given:
-        found |= population_tensors("skill", _alone(state.skill.graph))
-    if state.candidate is not None:
-        found |= population_tensors("candidate", _alone(state.candidate))
-    return found
-
-
-def _alone(graphs: Graphs) -> Population:
-    return Population(graphs, initial_strategy(1))
 
 
 def state_from_tensors(
@@ -176,24 +161,15 @@ def state_from_tensors(
     like: Skill,
     given: Skill | None,
 ) -> State:
-    """The state of `tensors_of_state`; its skill is named and limited like one of the stage.
+    """The state of `tensors_of_state`, which has offered nothing yet.
 
-    RunError if the tensors are damaged.
+    Its skills are named and limited like one of the stage. RunError if the tensors are damaged.
     """
-    begin = "known."
-    own = {name.removeprefix(begin): x for name, x in tensors.items() if name.startswith(begin)}
-    known = models.recalled(own)
+    own = {n.removeprefix(KNOWN): x for n, x in tensors.items() if n.startswith(KNOWN)}
+    known, inner = models.recalled(own), expected.state_from_tensors(tensors, actions, like, given)
     with damage():
-        waited, patience, generations, transitions, episodes, since = tensors["spent"].tolist()
+        waited, patience, episodes = tensors["waited"].tolist()
         rows = zip(PHASES, tensors["world"].tolist(), strict=True)
         asked = {phase: Asked(*row) for phase, row in rows}
         every = {phase: each for phase, each in asked.items() if each != NOTHING}
-        skill = given if bool(tensors["held"]) else None
-        if "skill.action" in tensors:
-            skill = replace(like, graph=population_named("skill", tensors, actions)[:1].graphs)
-        candidate = None
-        if "candidate.action" in tensors:
-            candidate = population_named("candidate", tensors, actions)[:1].graphs
-        promised, hope = tensors["promised"].tolist()
-        spent = waited, patience, generations, transitions, episodes
-        return State(known, skill, promised, *spent, every, None, candidate, hope, since)
+        return State(known, inner, None, waited, patience, episodes, every)
