@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,15 +14,12 @@ from cgtorch.domains.registry import NOT_FOUND, foreign
 from cgtorch.domains.rewarded_models import RewardedModels
 from cgtorch.ground.errors import DomainError
 
-if TYPE_CHECKING:
-    from cgtorch.domains.gymnasium import Gymnasium
 
-
-class GymnasiumModels(RewardedModels["Gymnasium"]):
+class GymnasiumModels(RewardedModels[Any]):
     """Γ of an environment, whose numbers are those of its observations, scaled."""
 
-    def __init__(self, domain: "Gymnasium") -> None:
-        """See `RewardedModels`; DomainError if the function of rewards cannot be imported."""
+    def __init__(self, domain: Any) -> None:
+        """The models of a `Gymnasium`; DomainError if its rewards cannot be imported."""
         super().__init__(domain)
         self.most_steps = domain.episodes.most_steps
         self._effects = Effects.of(domain.episodes.actions)
@@ -44,7 +41,7 @@ class GymnasiumModels(RewardedModels["Gymnasium"]):
 class GivenReward:
     """A user's function of observations and actions as a `Reward` of percepts and controls."""
 
-    def __init__(self, function: Callable[..., Any], domain: "Gymnasium") -> None:
+    def __init__(self, function: Callable[..., Any], domain: Any) -> None:
         """The function of the domain's observations."""
         self.function, self._domain = function, domain
 

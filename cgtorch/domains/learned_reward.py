@@ -49,6 +49,8 @@ class LearnedReward:
         self._usual = Usual(_inputs(some.percept, some.control), some.reward.double(), free)
         self.free = self._usual.free
         self._mean, self._scale = mean_and_spread(steps.after.double())
+        every = torch.cat([steps.percept, steps.after]).double()
+        self._range = every.amin(0), every.amax(0)
         self._ends: Callable[[Tensor], Tensor] | None = None
         if not bool(steps.ended.any()):
             return
@@ -73,8 +75,16 @@ class LearnedReward:
         return gain.to(before), ended
 
     def doubt(self, before: Tensor, control: Tensor) -> Tensor:
-        """Standard deviations (n,) of rewards, in units of that of all rewards."""
-        return self._usual.deviation(_inputs(before, control))
+        """How little is known (n,) of what steps give.
+
+        It is the standard deviation of rewards, in units of that of all rewards, or if that is
+        more, by how many standard deviations a percept is out of the range of those that were
+        seen, where there may be an end.
+        """
+        low, high = self._range
+        beyond = torch.maximum(low - before, before - high) / self._scale
+        deviation = self._usual.deviation(_inputs(before, control))
+        return torch.maximum(deviation, beyond.amax(1).clamp_min(0))
 
     def _standardised(self, percept: Tensor) -> Tensor:
         return (percept.double() - self._mean) / self._scale

@@ -26,8 +26,7 @@ Reward: TypeAlias = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 ends."""
 
 Doubt: TypeAlias = Callable[[Tensor, Tensor], Tensor]
-"""Maps percepts (n, D) and controls (n, U) to standard deviations (n,) of rewards, in units of that
-of all rewards."""
+"""Maps percepts (n, D) and controls (n, U) to how little is known of rewards (n,), 0 if all is."""
 
 Effect: TypeAlias = Callable[[Tensor], Tensor]
 """Maps controls (n, U) to their effective values (n, U), such as which number is the largest."""

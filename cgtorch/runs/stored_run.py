@@ -15,9 +15,9 @@ The folder contains:
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +47,9 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
+from cgtorch.runs.imagines import check_imagined, models_of, reward_models_of
 from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
-from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
+from cgtorch.runs.settings import NAMES, RunSettings
 from cgtorch.runs.writer import WRITER
 
 FORMAT, VERSION = "cgtorch-run", 6
@@ -118,16 +119,12 @@ class StoredRun:
     @property
     def models(self) -> Models[Any]:
         """The domain's inputs and fits of Γ and C."""
-        kind = self.domain.models or Models
-        return kind(self.domain) if issubclass(kind, Models) else Models(self.domain)
+        return models_of(self.domain)
 
     @property
     def reward_models(self) -> RewardedModels[Any]:
         """The domain's inputs and fits of a Γ with rewards."""
-        kind = self.domain.models or RewardedModels
-        return (
-            kind(self.domain) if issubclass(kind, RewardedModels) else RewardedModels(self.domain)
-        )
+        return reward_models_of(self.domain)
 
     @property
     def pictures(self) -> Pictures[Any]:
@@ -322,64 +319,10 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
             check_action(name, action, world)
     run = StoredRun(folder, settings, domain, actions, repeats)
     if run.imagines:
-        _check_imagined(run)
+        check_imagined(settings, domain, repeats)
     return run
-
-
-def _check_imagined(run: StoredRun) -> None:
-    """SettingsError if a Γ with rewards cannot be learned in a run."""
-    s, domain = run.settings, run.domain
-    if s.models == "auto" and not issubclass(domain.models or Models, RewardedModels):
-        raise SettingsError(
-            f"domain {s.domain!r} gives rewards, which Γ and C do not know; evolve skills in a Γ "
-            "with rewards, with few steps in the world: models 'learned' (--models learned), or in "
-            "the world itself: models 'none' (--models none)"
-        )
-    if s.method != "compose" or not run.repeats or s.data:
-        given = "method 'paper'" if s.method != "compose" else "logged data (--data)"
-        given = given if run.repeats else "a world that does not repeat itself"
-        raise SettingsError(
-            f"domain {s.domain!r} gives rewards, and a Γ with rewards is not learned with {given}; "
-            "leave that out, or evolve in the world itself: models 'none' (--models none)"
-        )
-    run.reward_models  # noqa: B018  # whose limits are checked
 
 
 def _foreign(part: object) -> bool:
     """Whether the class of a domain or action is not the library's."""
     return not type(part).__module__.startswith("cgtorch.")
-
-
-def refuse_others(run: StoredRun, given: Mapping[str, Any], how: str) -> None:
-    """SettingsError if a given setting differs from the run's; `how` says what to do instead."""
-    fixed, known = fixed_settings(run), run.all_settings()
-    for name, value in given.items():
-        plain = list(value) if isinstance(value, tuple) else value
-        if plain == (was := known[name]):
-            continue
-        about = f"run {str(run.folder)!r} has {name} {was}, not {plain}"
-        if name in fixed:
-            raise SettingsError(f"{about}, and cannot change it, as {fixed[name]}; {how}")
-        raise SettingsError(
-            f"{about}; {how}, or take it over with Run.resume({name}={value!r}), or --resume "
-            f"{run.folder} --override {option_of(name)[2:]}={value}"
-        )
-
-
-def fixed_settings(run: StoredRun) -> dict[str, str]:
-    """Settings that cannot be changed, by name, and why."""
-    own = {f.name: "the domain was made with it" for f in fields(run.domain.settings)}
-    every = all_fields(type(run.domain.settings))
-    return own | {f.name: f.metadata["fixed"] for f in every if f.metadata["fixed"]}
-
-
-def overridden(run: StoredRun, overrides: Mapping[str, Any]) -> RunSettings:
-    """The run's settings with `overrides`; SettingsError if one is fixed or cannot work."""
-    fixed, known = fixed_settings(run), run.all_settings()
-    for name, value in overrides.items():
-        if name in fixed and (list(value) if isinstance(value, tuple) else value) != known[name]:
-            raise SettingsError(
-                f"{name} {known[name]} of run {str(run.folder)!r} cannot become "
-                f"{value}, as {fixed[name]}; begin another run for it"
-            )
-    return replace(run.settings, **{k: v for k, v in overrides.items() if k in NAMES})

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from math import inf, isfinite
+from math import inf
 from typing import Any, TypeAlias
 
 import torch
@@ -45,7 +45,6 @@ from cgtorch.training.evaluate import Score, evaluate_skill
 from cgtorch.training.start import initial_progress, recall_spent, spent_of
 
 FRESH, OVERALL, FRESH_SEED = 40, 40, 7_000_001
-
 METHODS = {"compose": improve, "paper": grow}
 
 Made: TypeAlias = tuple[Progress[Any], dict[str, Any]]
@@ -230,9 +229,8 @@ def make_stage(
 ) -> Made:
     """Make one stage or round and store it in the run; NotImprovedError if there is no skill.
 
-    Where skills are judged by means, it ends once these reach the target. `test` tries the skill
-    on fresh scenarios. It maps the progress and its cost to the final progress and the result, or
-    to None if there is no skill.
+    Where skills are judged by means, it ends once these reach the target. `test` maps the progress
+    and its cost to the final progress and the result, or to None if there is no skill.
     """
     run, tally = training.run, Tally()
     generator = stage_generator(run.domain, run.settings.seed, name, failures)
@@ -251,9 +249,9 @@ def make_stage(
         began, after = time.perf_counter(), before
         with _best_at_hand(training, again, tally), deadline(training.purse):
             if run.imagines:
-                aim = target if isfinite(target) else run.domain.target_return
-                means = for_means(run, setup, aim)
-                after = improve_imagined(means, before, tests, draw, run.reward_models)
+                about = before, tests, draw, run.reward_models
+                aim = run.domain.target_return if target == inf else target
+                after = improve_imagined(for_means(run, setup, aim), *about)
             elif not training.by_mean(before):
                 after = METHODS[run.settings.method](setup, before, tests, draw)
             if not run.imagines and training.by_mean(after) and not training.purse.exhausted:

@@ -11,7 +11,8 @@ from standard.tasks import TASKS
 from support import seeded
 
 from cgtorch.ground.environment import start_lanes
-from cgtorch.improvement.imagined import EPISODES, LOOKS, SHORT, improve_imagined
+from cgtorch.improvement.imagined import improve_imagined
+from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT
 from cgtorch.improvement.setup import Progress
 
 
