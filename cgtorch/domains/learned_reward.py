@@ -42,14 +42,20 @@ class LearnedReward:
         free: (F + 3,) the parameters of the Gaussian process, with which a later fit can begin.
     """
 
-    def __init__(self, steps: Steps, free: Tensor | None = None) -> None:
-        """Fit at least one step, which has percepts (n, D) and controls (n, U)."""
+    def __init__(
+        self, steps: Steps, free: Tensor | None = None, starts: Tensor | None = None
+    ) -> None:
+        """Fit at least one step, which has percepts (n, D) and controls (n, U).
+
+        Episodes begin at `starts` (b, D), so there they do not end.
+        """
         going = ~steps.ended
         some = steps.rows(going) if bool(going.any()) else steps
         self._usual = Usual(_inputs(some.percept, some.control), some.reward.double(), free)
         self.free = self._usual.free
         self._mean, self._scale = mean_and_spread(steps.after.double())
-        every = torch.cat([steps.percept, steps.after]).double()
+        begun = steps.percept if starts is None else starts
+        every = torch.cat([steps.percept, steps.after, begun]).double()
         self._range = every.amin(0), every.amax(0)
         self._ends: Callable[[Tensor], Tensor] | None = None
         if not bool(steps.ended.any()):
@@ -78,11 +84,12 @@ class LearnedReward:
         """How little is known (n,) of what steps give.
 
         It is the standard deviation of rewards, in units of that of all rewards, or if that is
-        more, by how many standard deviations a percept is out of the range of those that were
-        seen, where there may be an end.
+        more, by how much a percept is out of the range of those that were seen, as a share of its
+        width, as there may be an end.
         """
         low, high = self._range
-        beyond = torch.maximum(low - before, before - high) / self._scale
+        width = torch.where(high > low, high - low, 1.0)
+        beyond = torch.maximum(low - before, before - high) / width
         deviation = self._usual.deviation(_inputs(before, control))
         return torch.maximum(deviation, beyond.amax(1).clamp_min(0))
 

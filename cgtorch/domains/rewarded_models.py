@@ -129,7 +129,7 @@ class Known:
         tell = limits.inside(steps.after)
         some = steps.rows(tell) if bool(tell.any()) else steps
         found = GaussianProcess(some.percept, some.control, some.after, gamma)
-        given = models.reward or LearnedReward(steps, reward)
+        given = models.reward or LearnedReward(steps, reward, starts)
         return cls(models, starts, steps, found, given, limits, (gamma, reward))
 
     def after(self, starts: Tensor, steps: Steps) -> "Known":

@@ -128,7 +128,7 @@ class Search:
             return state, False
         state, graphs = replace(state, waited=0), generation.champion.graphs
         if self.telling(graphs, state.known, generator):
-            return self._champion_played(state, self.skill_of(graphs), generator)
+            return self._played(state, graphs, CURIOUS, CURIOUS_STEPS, generator)[0], False
         curious = self.exploring(state.known, generator)
         if self.telling(curious, state.known, generator):
             return self._explored(state, graphs, curious, generator)

@@ -78,7 +78,9 @@ def test_rewards_that_are_all_the_same_stay_the_same_and_are_not_doubted() -> No
     assert said(walked(9, seed=3), model)[0].tolist() == [1.0] * 9
     assert model.doubt(steps.percept, steps.control).tolist() == [0.0] * 40
     beyond = steps.after[:1] + 10 * steps.after.std(0)
-    assert model.doubt(beyond, steps.control[:1]) > 5  # where there may be an end
+    assert model.doubt(beyond, steps.control[:1]) > 1  # where there may be an end
+    begun = LearnedReward(same, starts=beyond)  # but not where episodes begin
+    assert begun.doubt(beyond, steps.control[:1]).tolist() == [0.0]
 
 
 def test_doubt_is_larger_where_nothing_was_seen() -> None:
