@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cgtorch.domains.files import Files as Files
     from cgtorch.domains.models import Models as Models
     from cgtorch.domains.pictures import Pictures as Pictures
+    from cgtorch.domains.rewarded_models import RewardedModels as RewardedModels
     from cgtorch.domains.robot import ProtectiveStop as ProtectiveStop
     from cgtorch.domains.robot import RobotDriver as RobotDriver
     from cgtorch.domains.settings import DomainSettings as DomainSettings
@@ -62,6 +63,7 @@ _FOLDERS = {
     "domains.files": ("Files",),
     "domains.models": ("Models",),
     "domains.pictures": ("Pictures",),
+    "domains.rewarded_models": ("RewardedModels",),
     "domains.robot": ("ProtectiveStop", "RobotDriver"),
     "domains.settings": ("DomainSettings", "option"),
     "domains.world": ("World",),

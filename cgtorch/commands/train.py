@@ -222,7 +222,7 @@ def command(context: click.Context, /, **options: Any) -> None:
             wanted["target_return"] = aims.pop("target")
         return TrainingRequest(goal=aims, budget=budget, **how)
 
-    named = own(**{name: wanted[name] for name in {"wrappers"} & set(wanted)})
+    named = own(**{name: wanted[name] for name in {"wrappers", "reward"} & set(wanted)})
     actions, domain = options["actions"], options["domain"]
     shown = options["quiet"], options["processes"]
     domain = full_name(domain, with_name(domain, named))

@@ -11,6 +11,7 @@ from cgtorch.domains.files import Files
 from cgtorch.domains.live import OnRobot
 from cgtorch.domains.models import Models
 from cgtorch.domains.pictures import Pictures
+from cgtorch.domains.rewarded_models import RewardedModels
 from cgtorch.domains.world import World
 from cgtorch.graphs import Action, ActionSet, Step
 from cgtorch.ground.dry_run import (
@@ -79,13 +80,13 @@ def _check_names(domain: Domain[Any], who: str) -> None:
     given = domain.kinds
     if not isinstance(given, tuple) or not all(isinstance(k, str) for k in given):
         raise DomainError(f"{who}.kinds is {given!r:.60}; give names in a tuple")
-    for name, part in (("models", Models), ("pictures", Pictures), ("files", Files)):
+    several = Models, RewardedModels
+    for name, parts in (("models", several), ("pictures", (Pictures,)), ("files", (Files,))):
         kind_of = getattr(domain, name)
         none = name == "models" and kind_of is None
-        if not (none or (isinstance(kind_of, type) and issubclass(kind_of, part))):
-            raise DomainError(
-                f"{who}.{name} is {kind_of!r:.60}; give a subclass of cgtorch.{part.__name__}"
-            )
+        if not (none or (isinstance(kind_of, type) and issubclass(kind_of, parts))):
+            known = " or ".join(f"cgtorch.{part.__name__}" for part in parts)
+            raise DomainError(f"{who}.{name} is {kind_of!r:.60}; give a subclass of {known}")
     if not domain.kinds:
         raise DomainError(f"{who}.kinds is empty; name at least one kind of scenarios")
     for stage, of in domain.stages.items():

@@ -16,6 +16,7 @@ from torch import Generator
 from cgtorch.domains.files import Files
 from cgtorch.domains.models import Models
 from cgtorch.domains.pictures import Pictures
+from cgtorch.domains.rewarded_models import RewardedModels
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, Step, Test, reward_actions
 from cgtorch.ground.environment import (
@@ -70,7 +71,8 @@ class Domain(ABC, Generic[S]):
         repeats: Whether a world that is asked the same gives the same answer, so that a trial can
             be made again. If not, each trial is one sample of what may happen.
         specialists: How missed scenarios are assigned to specialists.
-        models: Inputs and fits of Γ and C; None if skills are evolved in the world itself.
+        models: Inputs and fits of Γ and C, or with rewards of a Γ with rewards; None if skills are
+            evolved in the world itself.
         pictures: The contents of its reports.
         files: The files that it stores in a run.
     """
@@ -83,7 +85,7 @@ class Domain(ABC, Generic[S]):
     target_return: float = 0.0
     repeats: bool = True
     specialists: Specialists = Specialists()
-    models: ClassVar[type[Models[Any]] | None] = Models
+    models: ClassVar[type[Models[Any]] | type[RewardedModels[Any]] | None] = Models
     pictures: ClassVar[type[Pictures[Any]]] = Pictures
     files: ClassVar[type[Files[Any]]] = Files
 
@@ -137,6 +139,14 @@ class Adaptable(Protocol):
 
     def other_measures(self) -> Mapping[str, Domain[Any]]:
         """Domains with the same world and another measure of success, by its name."""
+
+
+@runtime_checkable
+class Sparing(Protocol):
+    """A domain that can do without steps in its world which it would take to know it better."""
+
+    def sparing(self) -> Domain[Any]:
+        """The domain for a run in which each step in the world counts (--models learned)."""
 
 
 def in_world(domain: Domain[Any], name: str) -> Domain[Any]:

@@ -24,6 +24,8 @@ MOST_ROWS = 300
 """The maximum number of rows on which the hyperparameters are fitted."""
 STEPS, AGAIN = 60, 20
 """Steps of L-BFGS for the first fit, and for one that continues from an earlier fit."""
+IMPOSSIBLE = 1e10
+"""The loss where the covariances of the rows cannot be factorised."""
 LEAST_NOISE = 1e-3
 """The smallest standard deviation of the noise, in units of that of the changes."""
 
@@ -84,7 +86,10 @@ def fitted_parameters(free: Tensor, x: Tensor, y: Tensor, steps: int) -> Tensor:
     def loss() -> Tensor:
         best.zero_grad()
         kernel = Kernel.of(free)
-        factor = torch.linalg.cholesky(kernel(x, x) + kernel.noise * eye)
+        factor, failed = torch.linalg.cholesky_ex(kernel(x, x) + kernel.noise * eye)
+        if failed:  # a step that was far too long, which the line search takes back
+            free.grad = torch.zeros_like(free)
+            return torch.tensor(IMPOSSIBLE, dtype=x.dtype)
         white = torch.linalg.solve_triangular(factor, y, upper=False)
         unlikely = 0.5 * white.square().sum() + y.shape[1] * factor.diagonal().log().sum()
         prior = ((free - guess) / 3).square().sum()

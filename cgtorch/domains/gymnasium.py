@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,6 +23,8 @@ from cgtorch.domains.files import Files
 from cgtorch.domains.film import Film, end_of
 from cgtorch.domains.gymnasium_episodes import Episodes
 from cgtorch.domains.gymnasium_film import MODE
+from cgtorch.domains.gymnasium_limits import bounds_of_percepts
+from cgtorch.domains.gymnasium_models import GymnasiumModels
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_world import (
     GymnasiumWorld,
@@ -41,6 +44,7 @@ from cgtorch.ground.files import read_json, write_json
 FILE = "gymnasium.json"
 LOOKS = 20  # random episodes that tell the scale of numbers without bounds
 STEPS = 200  # of each at most
+FEW_LOOKS, FEW_STEPS = 5, 20  # where each step counts
 EVEN = 1e-9  # the largest spread of numbers that do not vary, as a share of the largest
 FAMILIAR = ("is_success", "success")
 """Names in the info of a step that tell of success in many environments."""
@@ -150,7 +154,7 @@ class Gymnasium(Domain[Starts]):
 
     settings: GymnasiumSettings
     settings_type = GymnasiumSettings
-    models = None
+    models: ClassVar[type[GymnasiumModels] | None] = None
     kinds = ("starts",)
     specialists = Specialists(group=8, widest=32, stall=100)
     pictures = EpisodePictures
@@ -172,8 +176,34 @@ class Gymnasium(Domain[Starts]):
             self.vector = None if s.env or s.wrappers or s.success else VectorSteps(s.environment)
         self.percept = self.episodes.percepts.fields
         self.control = self.episodes.controls.fields
-        self.known = known or self._found()
-        self.target_return = self.known.target
+        if known is not None:
+            self.known = known
+        target = self._target()
+        eager = known is not None or target is None or s.success
+        self.target_return = self.known.target if eager else float(target or 0.0)
+
+    @cached_property
+    def known(self) -> Known:
+        """What random episodes tell, which are played when it is first asked for."""
+        return self._found()
+
+    def sparing(self) -> "Gymnasium":
+        """See `Sparing`: with rewards, numbers with bounds are scaled by these."""
+        if "known" not in vars(self):
+            target, scaling = self._target() or 0.0, self._scaled_by_bounds()
+            return SparingGymnasium(self.settings, Known(scaling, target=target))
+        return self if self.known.success else SparingGymnasium(self.settings, self.known)
+
+    def _scaled_by_bounds(self) -> Scaling:
+        """The scaling of numbers by their bounds, and of others by a few short random episodes."""
+        low, high = bounds_of_percepts(self.episodes.percepts)
+        known = low.isfinite() & high.isfinite() & (low < high)
+        centre, scale = torch.zeros_like(low), torch.ones_like(low)
+        if not bool(known.all()):
+            seen = scaling_of(self.episodes.explored(FEW_LOOKS, FEW_STEPS).percepts)
+            centre, scale = seen.centre, seen.scale
+        middle, half = (low + high) / 2, (high - low) / 2
+        return Scaling(torch.where(known, middle, centre), torch.where(known, half, scale))
 
     def draw(self, kind: str, count: int, generator: Generator) -> Starts:
         """See `Domain.draw`."""
@@ -223,6 +253,12 @@ class Gymnasium(Domain[Starts]):
         """The return from which an episode is solved: the one given, or the environment's own."""
         given = self.settings.target_return
         return self.episodes.threshold if given == math.inf else given
+
+
+class SparingGymnasium(Gymnasium):
+    """An environment with rewards in which each step counts, as Γ is learned of it."""
+
+    models = GymnasiumModels
 
 
 def _success(data: Any) -> Success:

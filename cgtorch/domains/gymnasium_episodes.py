@@ -38,8 +38,9 @@ class Explored:
 class Episodes:
     """Episodes of one environment in batches, which share at most `MOST` copies of it.
 
-    `percepts` and `controls` are what its observations and actions are made of. `threshold` is the
-    return from which it counts as solved, if it has one. `batch` counts batches; only episodes of
+    `percepts` and `controls` are what its observations and `actions` are made of. `threshold` is
+    the return from which it counts as solved, if it has one, and `most_steps` the length of an
+    episode at most. `batch` counts batches; only episodes of
     the last batch can continue.
     """
 
@@ -51,10 +52,10 @@ class Episodes:
         self._having = {0: first}  # the environments of episodes, the last one used last
         self._process, self._parents = os.getpid(), dict[int, Any]()
         self._played = dict[int, Episode]()
-        name, self._actions = settings.environment, _space(first, "action_space")
+        name, self.actions = settings.environment, _space(first, "action_space")
         seen = _space(first, "observation_space")
         self.percepts = percepts_of(seen, settings.percepts, name)
-        self.controls = controls_of(self._actions, name)
+        self.controls = controls_of(self.actions, name)
         self.batch = 0
         self._starts: dict[int, tuple[Any, NDArray[Any]]] = {}
 
@@ -110,7 +111,7 @@ class Episodes:
     def explored(self, count: int, most: int) -> Explored:
         """What `count` episodes with random actions show, with at most `most` steps in each."""
         percepts, rewards, infos = list[NDArray[Any]](), list[float](), set[str]()
-        actions = tried(self._actions)
+        actions = tried(self.actions)
         actions.seed(0)
         for seed in range(count):
             percepts.append(self._begun(0, seed))
@@ -162,6 +163,7 @@ class Episodes:
         )
         threshold = getattr(made.spec, "reward_threshold", None)
         limit = getattr(made.spec, "max_episode_steps", None) or float("inf")
+        self.most_steps = float(limit)
         while not self._wrappers and type(made) in (OrderEnforcing, TimeLimit):
             made = made.env
         for spec, wrap in zip(self._settings.wrappers, self._wrappers, strict=True):

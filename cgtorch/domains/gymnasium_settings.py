@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from cgtorch.domains.registry import REWARD
 from cgtorch.domains.settings import DomainSettings, option
 from cgtorch.ground.errors import SettingsError
 
@@ -88,6 +89,16 @@ class GymnasiumSettings(DomainSettings):
         when="Give it to change observations, actions or rewards.",
         before=(),
     )
+    reward: str = option(
+        "",
+        "With --models learned: function that says what steps give, as package.module:function. It "
+        "gets observations, actions and next observations, each a tensor with a row for each of n "
+        "steps, and returns n rewards and n bools, which steps end their episodes. By default this "
+        "is learned.",
+        OF_THE_RUN,
+        when="Give it if you know what is rewarded, and only motion is to be learned.",
+        before="",
+    )
 
     def __post_init__(self) -> None:
         """Check every value; SettingsError for one that cannot work."""
@@ -103,6 +114,8 @@ class GymnasiumSettings(DomainSettings):
         for spec in self.wrappers:
             if not re.fullmatch(WRAPPER, spec):
                 raise SettingsError(f"wrappers has {spec!r:.60}; give package.module:function")
+        if self.reward and not re.fullmatch(WRAPPER, self.reward):
+            raise SettingsError(f"reward is {self.reward!r:.60}; give package.module:function")
 
     @property
     def keywords(self) -> dict[str, Any]:
@@ -112,7 +125,8 @@ class GymnasiumSettings(DomainSettings):
     @property
     def name(self) -> str:
         """The name of the domain, with all code that it imports."""
-        return "+".join([f"gymnasium:{self.environment}", *self.wrappers])
+        reward = [f"{REWARD}{self.reward}"] if self.reward else []
+        return "+".join([f"gymnasium:{self.environment}", *self.wrappers, *reward])
 
 
 def _value(text: str) -> Any:

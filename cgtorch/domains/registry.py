@@ -24,6 +24,8 @@ EXAMPLES = {
     "gymnasium-robotics": "gymnasium-robotics:FetchPush-v4",
 }
 """The domains whose names end with that of an environment."""
+REWARD = "reward="
+"""Begins the part of a name that is the function of given rewards."""
 _SETTINGS = {
     TABLETOP: "cgtorch.tabletop.settings:TabletopSettings",
     GYMNASIUM: "cgtorch.domains.gymnasium_settings:GymnasiumSettings",
@@ -175,15 +177,18 @@ def make_domain(spec: str, settings: DomainSettings | None = None) -> "Domain[An
 def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
     """The settings with what follows the colon of the domain's name.
 
-    For Gymnasium this is ENV_ID or module:ENV_ID, and "+module:function" for each wrapper.
+    For Gymnasium this is ENV_ID or module:ENV_ID, and "+module:function" for each wrapper, and
+    "+reward=module:function" for given rewards.
     """
     name, _, argument = spec.partition(":")
     if name not in EXAMPLES:
         return settings
-    environment, *wrappers = argument.split("+")
+    environment, *parts = argument.split("+")
+    wrappers = [part for part in parts if not part.startswith(REWARD)]
+    rewards = [part.removeprefix(REWARD) for part in parts if part.startswith(REWARD)]
     usual = hasattr(settings, "wrappers")
     pattern = r"([\w.]+:)?[\w./-]+" if usual else r"[\w.-]+"
-    if not re.fullmatch(pattern, environment) or (wrappers and not usual):
+    if not re.fullmatch(pattern, environment) or (parts and not usual):
         raise DomainError(
             f"domain {spec!r} names no environment; give {name}:NAME, such as {EXAMPLES[name]}"
         )
@@ -192,7 +197,11 @@ def with_name(spec: str, settings: DomainSettings) -> DomainSettings:
         raise DomainError(
             f"domain {spec!r} names other wrappers than {', '.join(named.wrappers)}; give them once"
         )
-    found: DomainSettings = replace(named, wrappers=tuple(wrappers)) if wrappers else named
+    if rewards and named.reward not in ("", rewards[0]):
+        raise DomainError(f"domain {spec!r} names another reward than {named.reward}; give it once")
+    code: dict[str, Any] = {"wrappers": tuple(wrappers)} if wrappers else {}
+    code |= {"reward": rewards[0]} if rewards else {}
+    found: DomainSettings = replace(named, **code)
     return found
 
 

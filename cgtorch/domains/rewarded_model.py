@@ -25,6 +25,9 @@ Reward: TypeAlias = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 """Maps percepts (n, D), controls (n, U) and next percepts (n, D) to rewards (n,) and (n,) bool
 ends."""
 
+Doubt: TypeAlias = Callable[[Tensor, Tensor], Tensor]
+"""Maps percepts (n, D) and controls (n, U) to how little is known of rewards (n,), 0 if all is."""
+
 Effect: TypeAlias = Callable[[Tensor], Tensor]
 """Maps controls (n, U) to their effective values (n, U), such as which number is the largest."""
 
@@ -48,14 +51,11 @@ class Imagined(ScenarioBatch):
 
     @classmethod
     def drawn(cls, percept: Tensor, count: int, generator: Generator) -> Self:
-        """`count` starts, each at a random place between two of the percepts (b, D).
-
-        A policy would overfit to a few known starts.
-        """
-        one, other = torch.randint(len(percept), (2, count), generator=generator)
-        share = torch.rand(count, 1, generator=generator).to(percept)
+        """`count` starts from percepts (b, D), each of which is as frequent as the others."""
+        orders = -(-count // len(percept))
+        some = [torch.randperm(len(percept), generator=generator) for _ in range(orders)]
         error = torch.randn(count, percept.shape[1], generator=generator).to(percept)
-        return cls(share * percept[one] + (1 - share) * percept[other], error)
+        return cls(percept[torch.cat(some)[:count]], error)
 
 
 class RewardedModel(World):
@@ -144,20 +144,22 @@ class RewardedModel(World):
 
 
 class CuriousModel(RewardedModel):
-    """Γ as a world that rewards only coming, soon, to where Γ knows little.
+    """Γ as a world that rewards only coming, soon, to where Γ or its rewards know little.
 
     Each step gives its novelty, and each step that remains where Γ knows nothing gives 1. This is
     an exploration bonus, as in R-max (Brafman and Tennenholtz, JMLR 3, 2002).
     """
 
-    def __init__(self, *given: Any, **named: Any) -> None:
-        """See `RewardedModel`; `unknown` is not used."""
+    def __init__(self, *given: Any, doubt: Doubt | None = None, **named: Any) -> None:
+        """See `RewardedModel`; `unknown` is not used. Rewards without `doubt` are known."""
         super().__init__(*given, **named)
-        self.unknown = 1.0
+        self.unknown, self.doubt = 1.0, doubt
 
     def gained(
         self, before: Tensor, control: Tensor, after: Tensor, unsure: Tensor
     ) -> tuple[Tensor, Tensor]:
         """See `RewardedModel.gained`."""
         ended = super().gained(before, control, after, unsure)[1]
+        if self.doubt is not None:
+            unsure = torch.maximum(unsure, self.doubt(before, control))
         return (unsure / MOST_UNSURE).clamp_max(1), ended

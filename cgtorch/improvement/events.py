@@ -157,6 +157,21 @@ class MeanTested(Event):
 
 
 @dataclass(frozen=True)
+class EpisodePlayed(Event):
+    """An episode in the world, from which models with rewards have learned.
+
+    It was played in a `phase` (`cgtorch.improvement.imagined_state.PHASES`), and `returned` is what
+    it gave, None if it was not finished. It had `steps`, and all episodes so far had `total`.
+    """
+
+    stage: str
+    phase: str
+    returned: float | None
+    steps: int
+    total: int
+
+
+@dataclass(frozen=True)
 class ChanceFound(Event):
     """Of `tried` scenarios that a skill has solved, it solves `succeeded` under other noise.
 

@@ -23,7 +23,6 @@ import torch
 from torch import Generator
 
 from cgtorch.evolution import (
-    EvolutionSettings,
     EvolutionState,
     Generation,
     Population,
@@ -79,7 +78,7 @@ def improve_expected(
     limit, first = setup.attempts * setup.budget.generations, time.perf_counter()
     began = first
     how: Any = {"seeds": progress.specialists, "islands": islands}
-    about = environment, setup.actions, _structures(setup.evolution), setup.generator
+    about = environment, setup.actions, search.structures, setup.generator
     how |= {"guests": lambda: search.guests(state), "max_transitions": setup.max_transitions}
     with suppress(BudgetSpentError):  # when the time is over
         for generation in evolve(*about, **how):
@@ -104,11 +103,6 @@ def improve_expected(
     usual = skill.actions is setup.actions
     seeds = Population(skill.graph, initial_strategy(1)) if usual else progress.specialists
     return replace(progress, skill=skill, specialists=seeds)
-
-
-def _structures(settings: EvolutionSettings) -> EvolutionSettings:
-    """The settings of generations, which look for structures only: half of them are new."""
-    return replace(settings, lineages=0, newcomers=settings.population // 2)
 
 
 def _step(setup: Setup[Any]) -> str:

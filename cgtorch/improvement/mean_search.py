@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Generator
 
-from cgtorch.evolution import Generation, Population
+from cgtorch.evolution import EvolutionSettings, Generation, Population
 from cgtorch.evolution.population import initial_strategy, join
 from cgtorch.evolution.selection import ranking
 from cgtorch.graphs import Graphs, Skill, compacted, merged
@@ -87,6 +87,12 @@ class MeanSearch:
             return state
         return replace(state, tuning=tuning.moved(champion.graph, self.setup.actions))
 
+    @property
+    def structures(self) -> EvolutionSettings:
+        """The settings of generations, which look for structures only: half of them are new."""
+        settings = self.setup.evolution
+        return replace(settings, lineages=0, newcomers=settings.population // 2)
+
     def guests(self, state: State) -> Population | None:
         """What is being tuned, as individuals of the next generation."""
         tuned = [each for each in (state.tuning, *state.rivals) if each is not None]
@@ -101,7 +107,7 @@ class MeanSearch:
         The simplest of the very first is tuned in front of the others.
         """
         population, fitness = generation.population, generation.fitness
-        place, newcomers = torch.arange(len(fitness)), self.setup.evolution.newcomers
+        place, newcomers = torch.arange(len(fitness)), self.structures.newcomers
         random = place >= (len(fitness) - newcomers if generation.number else 0)
         order = ranking(fitness, population.graphs)
         order = order[order < len(fitness) - (state.tuning is not None)]

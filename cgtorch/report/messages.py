@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.errors import printable
 from cgtorch.improvement import events
+from cgtorch.improvement.imagined_state import RANDOM
 from cgtorch.runs.stored_run import AUTO
 
 if TYPE_CHECKING:
@@ -59,6 +60,11 @@ def message_of(event: events.Event) -> str:
                 f"{event.stage}: mean {mean_text(event.mean, event.error)} on {event.tried:,} "
                 f"fresh episodes; {event.scenarios} in each generation, {event.episodes:,} played"
             )
+        case events.EpisodePlayed():
+            return (
+                f"{event.stage}: {event.phase}, an episode in the world of {event.steps} steps "
+                f"with return {mean_text(event.returned, None)}; {event.total:,} steps so far"
+            )
         case events.Practised():
             return (
                 f"{event.skill.name}: {event.in_a_row} of {event.wanted} fresh scenarios solved in "
@@ -106,6 +112,12 @@ def asked_of(whom: str, purse: Purse) -> str:
         return (
             f"asked of the {whom}: {total.steps} low-level steps ({phases}), of which "
             f"{total.simulated} had to be simulated, in {total.episodes} trials and a search"
+        )
+    if total.motions and whom == "world" and RANDOM in purse.spent:
+        phases = ", ".join(f"{phase} {a.motions}" for phase, a in purse.spent.items() if a.motions)
+        return (
+            f"asked of the world: {total.motions:,} steps ({phases}) in {total.episodes} episodes, "
+            f"and {total.looks} first percepts; fresh episodes of tests are not among them"
         )
     hours = total.actions * SECONDS / 3600
     phases = ", ".join(f"{phase} {a.actions}" for phase, a in purse.spent.items() if a.actions)

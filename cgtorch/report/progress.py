@@ -168,7 +168,12 @@ class ProgressDisplay:
                     done, limit = event.generation.number + 1, event.limit
                     numbers = _numbers(event, None).plain.strip()
                     self._plain(f"{event.candidate}: generation {done} of ≤ {limit}, {numbers}")
-            case events.EvolutionRecalled() | events.JournalDamaged() | events.FreshTested():
+            case (
+                events.EvolutionRecalled()
+                | events.JournalDamaged()
+                | events.FreshTested()
+                | events.EpisodePlayed()
+            ):
                 self.say(message)
             case events.StageStarted():
                 self._stage, self._generation, self._world = event, None, ""

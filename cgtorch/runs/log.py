@@ -72,6 +72,9 @@ COLUMNS: dict[str, dict[str, Shape]] = {
         "stage": str, "skill": str, "new": bool, "mean": (float, None), "error": (float, None),
         "tried": int, "scenarios": int, "episodes": int,
     },
+    "played": {
+        "stage": str, "phase": str, "returned": (float, None), "steps": int, "total": int,
+    },
     "chance": {"stage": str, **_SHARE},
     "accepted": {
         "stage": str, "skill": str, "parent": (str, None), "members": [str], "nodes": int,
@@ -253,6 +256,7 @@ _NAMES: dict[type[events.Event], str] = {
     events.WorldTested: "candidate",
     events.Practised: "practised",
     events.MeanTested: "mean",
+    events.EpisodePlayed: "played",
     events.ChanceFound: "chance",
     events.FreshTested: "tested",
     events.StageFailed: "failed",

@@ -13,6 +13,8 @@ from torch import Tensor, nn
 
 from cgtorch.domains.knowledge import Knowledge, swift_gamma
 from cgtorch.domains.reports import SuccessReport, TransitionReport
+from cgtorch.domains.rewarded_models import NAMES as COLUMNS_OF_KNOWN
+from cgtorch.domains.rewarded_models import Known
 from cgtorch.domains.success import SuccessClassifier
 from cgtorch.domains.transition import TransitionModel
 from cgtorch.evolution import Population, population_from
@@ -26,7 +28,7 @@ from cgtorch.runs.stored_run import StoredRun
 from cgtorch.svm import Choice, LearningCurve, load_model_and_report, save_model
 
 GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"
-DATA, ASIDE = "data.safetensors", "aside.safetensors"
+DATA, ASIDE, KNOWN = "data.safetensors", "aside.safetensors", "known.safetensors"
 MAX_BYTES = 2**30
 Unfitted: TypeAlias = Mapping[str, Callable[[], nn.Module]]
 """Functions that make unfitted models, by class name; see `Models.unfitted`."""
@@ -226,7 +228,9 @@ def save_progress(
     save_scenarios(folder / "scenarios.json", *known, accepted)
     if (seen := progress.seen) is not None:
         save_tensors(folder / "seen.safetensors", {"percepts": seen}, {})
-    if progress.knowledge is not None:
+    if isinstance(progress.knowledge, Known):
+        save_tensors(folder / KNOWN, progress.knowledge.tensors(), {"seed": str(seed)})
+    elif progress.knowledge is not None:
         save_knowledge(folder, progress.knowledge, {"seed": str(seed)})
     if (population := progress.specialists) is not None:
         tensors = {**vars(population.graphs), "strategy": population.strategy}
@@ -236,7 +240,12 @@ def save_progress(
 def load_progress(run: StoredRun, folder: Path) -> Progress[Any]:
     """Read the files of `save_progress`."""
     solved, missed = load_scenarios(folder / "scenarios.json", run.like())
-    knowledge = load_knowledge(folder, run.models.unfitted()) if run.learns else None
+    knowledge: Knowledge | Known | None = None
+    if run.imagines:
+        known = load_tensors(folder / KNOWN, {*COLUMNS_OF_KNOWN})
+        knowledge = run.reward_models.recalled(known)
+    elif run.learns:
+        knowledge = load_knowledge(folder, run.models.unfitted())
     chance = read_json(folder / "scenarios.json").get("chance") is True
     progress = Progress(None, solved, missed, knowledge, chance=chance)
     if (folder / "skill.json").is_file():

@@ -15,9 +15,9 @@ The folder contains:
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ import torch
 
 from cgtorch import __version__, native
 from cgtorch.domains.check import check_domain, check_sizes
-from cgtorch.domains.domain import Adaptable, Domain, rewarded
+from cgtorch.domains.domain import Adaptable, Domain, Sparing, rewarded
 from cgtorch.domains.files import Files
 from cgtorch.domains.live import DriverDomain, Placements, on_robot
 from cgtorch.domains.models import Models
@@ -40,14 +40,16 @@ from cgtorch.domains.registry import (
     settings_class,
     spec_of,
 )
+from cgtorch.domains.rewarded_models import RewardedModels
 from cgtorch.domains.settings import from_plain, to_plain
 from cgtorch.graphs import ActionSet, check_action, resolve_actions
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
+from cgtorch.runs.imagines import check_imagined, models_of, reward_models_of
 from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
-from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
+from cgtorch.runs.settings import NAMES, RunSettings
 from cgtorch.runs.writer import WRITER
 
 FORMAT, VERSION = "cgtorch-run", 6
@@ -102,13 +104,27 @@ class StoredRun:
     @property
     def learns(self) -> bool:
         """Whether its skills are evolved in Γ and C, not in the world itself."""
+        return self._has_models and not rewarded(self.domain)
+
+    @property
+    def imagines(self) -> bool:
+        """Whether its skills are evolved in a Γ with rewards."""
+        return self._has_models and rewarded(self.domain)
+
+    @property
+    def _has_models(self) -> bool:
         chosen = self.settings.models
         return self.domain.models is not None if chosen == "auto" else chosen == "learned"
 
     @property
     def models(self) -> Models[Any]:
         """The domain's inputs and fits of Γ and C."""
-        return (self.domain.models or Models)(self.domain)
+        return models_of(self.domain)
+
+    @property
+    def reward_models(self) -> RewardedModels[Any]:
+        """The domain's inputs and fits of a Γ with rewards."""
+        return reward_models_of(self.domain)
 
     @property
     def pictures(self) -> Pictures[Any]:
@@ -279,6 +295,8 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
         raise SettingsError(f"scenarios is {kind!r:.40}; use one of {', '.join(domain.kinds)}")
     if isinstance(domain, Adaptable):
         domain = domain.for_run(kind, settings.method)
+    if settings.models == "learned" and isinstance(domain, Sparing):
+        domain = domain.sparing()
     if (driver or not domain.repeats) and (count := ranks.count()) > 1:
         raise SettingsError(
             f"the world does not repeat itself, which {count} processes cannot share; train with "
@@ -300,49 +318,11 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
             check_sizes(name, action, *sizes)
             check_action(name, action, world)
     run = StoredRun(folder, settings, domain, actions, repeats)
-    if run.learns and rewarded(domain):
-        raise SettingsError(
-            f"domain {settings.domain!r} gives rewards, which Γ and C do not know; its skills are "
-            "evolved in the world itself: models 'none' (--models none)"
-        )
+    if run.imagines:
+        check_imagined(settings, domain, repeats)
     return run
 
 
 def _foreign(part: object) -> bool:
     """Whether the class of a domain or action is not the library's."""
     return not type(part).__module__.startswith("cgtorch.")
-
-
-def refuse_others(run: StoredRun, given: Mapping[str, Any], how: str) -> None:
-    """SettingsError if a given setting differs from the run's; `how` says what to do instead."""
-    fixed, known = fixed_settings(run), run.all_settings()
-    for name, value in given.items():
-        plain = list(value) if isinstance(value, tuple) else value
-        if plain == (was := known[name]):
-            continue
-        about = f"run {str(run.folder)!r} has {name} {was}, not {plain}"
-        if name in fixed:
-            raise SettingsError(f"{about}, and cannot change it, as {fixed[name]}; {how}")
-        raise SettingsError(
-            f"{about}; {how}, or take it over with Run.resume({name}={value!r}), or --resume "
-            f"{run.folder} --override {option_of(name)[2:]}={value}"
-        )
-
-
-def fixed_settings(run: StoredRun) -> dict[str, str]:
-    """Settings that cannot be changed, by name, and why."""
-    own = {f.name: "the domain was made with it" for f in fields(run.domain.settings)}
-    every = all_fields(type(run.domain.settings))
-    return own | {f.name: f.metadata["fixed"] for f in every if f.metadata["fixed"]}
-
-
-def overridden(run: StoredRun, overrides: Mapping[str, Any]) -> RunSettings:
-    """The run's settings with `overrides`; SettingsError if one is fixed or cannot work."""
-    fixed, known = fixed_settings(run), run.all_settings()
-    for name, value in overrides.items():
-        if name in fixed and (list(value) if isinstance(value, tuple) else value) != known[name]:
-            raise SettingsError(
-                f"{name} {known[name]} of run {str(run.folder)!r} cannot become "
-                f"{value}, as {fixed[name]}; begin another run for it"
-            )
-    return replace(run.settings, **{k: v for k, v in overrides.items() if k in NAMES})

@@ -18,6 +18,7 @@ from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.native.processes import listening
 from cgtorch.report import ProgressDisplay, TensorBoardWatch
+from cgtorch.runs.changes import overridden, refuse_others
 from cgtorch.runs.journal import (
     SECONDS,
     TakenOver,
@@ -31,11 +32,9 @@ from cgtorch.runs.stored_run import (
     AUTO,
     StoredRun,
     only_begun,
-    overridden,
     planned_run,
     read_about,
     read_run,
-    refuse_others,
     write_run,
 )
 from cgtorch.runs.writer import sole_writer

@@ -32,6 +32,7 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.expected import improve_expected
 from cgtorch.improvement.grow import grow
+from cgtorch.improvement.imagined import improve_imagined
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Progress
 from cgtorch.runs.journal import FOLDER, forget, journal_of
@@ -44,7 +45,6 @@ from cgtorch.training.evaluate import Score, evaluate_skill
 from cgtorch.training.start import initial_progress, recall_spent, spent_of
 
 FRESH, OVERALL, FRESH_SEED = 40, 40, 7_000_001
-
 METHODS = {"compose": improve, "paper": grow}
 
 Made: TypeAlias = tuple[Progress[Any], dict[str, Any]]
@@ -229,9 +229,8 @@ def make_stage(
 ) -> Made:
     """Make one stage or round and store it in the run; NotImprovedError if there is no skill.
 
-    Where skills are judged by means, it ends once these reach the target. `test` tries the skill
-    on fresh scenarios. It maps the progress and its cost to the final progress and the result, or
-    to None if there is no skill.
+    Where skills are judged by means, it ends once these reach the target. `test` maps the progress
+    and its cost to the final progress and the result, or to None if there is no skill.
     """
     run, tally = training.run, Tally()
     generator = stage_generator(run.domain, run.settings.seed, name, failures)
@@ -249,9 +248,13 @@ def make_stage(
         setup = replace(setup, name=name, generator=generator, watch=listen)
         began, after = time.perf_counter(), before
         with _best_at_hand(training, again, tally), deadline(training.purse):
-            if not training.by_mean(before):
+            if run.imagines:
+                about = before, tests, draw, run.reward_models
+                aim = run.domain.target_return if target == inf else target
+                after = improve_imagined(for_means(run, setup, aim), *about)
+            elif not training.by_mean(before):
                 after = METHODS[run.settings.method](setup, before, tests, draw)
-            if training.by_mean(after) and not training.purse.exhausted:
+            if not run.imagines and training.by_mean(after) and not training.purse.exhausted:
                 after = improve_expected(for_means(run, setup, target), after, tests, draw)
             tally.seconds = time.perf_counter() - began
         made = test(after, tally)

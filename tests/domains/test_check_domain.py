@@ -67,6 +67,7 @@ def test_kinds_are_names_in_a_tuple(bad: object) -> None:
 @pytest.mark.parametrize("name", ["models", "pictures", "files"])
 def test_parts_are_classes_of_their_kind(name: str) -> None:
     said = f"give a subclass of cgtorch.{name.title()}"
+    said += " or cgtorch.RewardedModels" if name == "models" else ""
     assert refused(cart_with(**{name: "none"})) == f"Own.{name} is 'none'; {said}"
     assert said in refused(cart_with(**{name: int}))
     if name == "models":  # a domain may have none, as its skills are evolved in the world itself

@@ -54,7 +54,9 @@ gymnasium.register("Tiny/Line-v0", Line, max_episode_steps=6)
 def domain_of(monkeypatch: pytest.MonkeyPatch, changes: dict[str, Change], **more: Any) -> Any:
     monkeypatch.setattr(Line, "changes", changes)
     settings = {"target_return": 5.0, **more}
-    return make_domain("gymnasium:Tiny/Line-v0", GymnasiumSettings(**settings))
+    domain: Any = make_domain("gymnasium:Tiny/Line-v0", GymnasiumSettings(**settings))
+    assert domain.known  # for which random episodes are played
+    return domain
 
 
 def raising(error: BaseException) -> Change:

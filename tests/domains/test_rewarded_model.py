@@ -87,13 +87,22 @@ def test_what_a_control_counts_for_and_what_percepts_can_be_are_the_tasks(
     assert torch.equal(lanes.percept, lanes.percept.round(decimals=1))
 
 
-def test_starts_lie_between_those_that_are_known() -> None:
-    first = torch.tensor([[0.0, 1.0], [2.0, 5.0]])
-    drawn = Imagined.drawn(first, 50, seeded(3))
-    torch.testing.assert_close(drawn.percept[:, 1], 1 + 2 * drawn.percept[:, 0])
-    assert drawn.percept[:, 0].min() >= 0
-    assert drawn.percept[:, 0].max() <= 2
-    assert drawn.percept.unique(dim=0).shape[0] > 20
-    assert drawn.error.shape == (50, 2)
-    one = Imagined.drawn(first[:1], 7, seeded(3))
-    torch.testing.assert_close(one.percept, first[:1].expand(7, 2))
+def test_starts_are_those_that_are_known_and_each_is_as_frequent() -> None:
+    first = torch.tensor([[0.0, 1.0], [2.0, 5.0], [3.0, 3.0]])
+    drawn = Imagined.drawn(first, 9, seeded(3))
+    assert sorted(drawn.percept.tolist()) == sorted(3 * first.tolist())
+    assert drawn.error.shape == (9, 2)
+    assert len({*Imagined.drawn(first, 2, seeded(3)).percept[:, 0].tolist()}) == 2
+    others = Imagined.drawn(first, 9, seeded(4))
+    assert not torch.equal(others.percept, drawn.percept)
+
+
+def test_curiosity_wants_to_know_rewards_too(gamma: GaussianProcess) -> None:
+    def doubt(before: Tensor, control: Tensor) -> Tensor:
+        return 0.4 * (before[:, 0] > 0.2).double()
+
+    world = model(gamma, CuriousModel, doubt=doubt)
+    lanes, _ = world.step(start_lanes(world, torch.arange(2), 0, 0), torch.zeros(2, 1))
+    known, unknown = world.returns(lanes).tolist()
+    assert known < 0.1
+    assert unknown == pytest.approx(0.4)

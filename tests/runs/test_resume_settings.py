@@ -12,8 +12,9 @@ from told_by_runs import logged
 from trained import SMALL, Trained, interrupted
 
 from cgtorch.ground.errors import SettingsError
+from cgtorch.runs.changes import fixed_settings, overridden, refuse_others
 from cgtorch.runs.journal import FileJournal, take_over
-from cgtorch.runs.stored_run import fixed_settings, overridden, read_run, refuse_others
+from cgtorch.runs.stored_run import read_run
 
 
 def about(folder: Path) -> dict[str, Any]:

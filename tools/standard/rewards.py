@@ -66,14 +66,6 @@ class Given:
     bounds: tuple[float, float] = (-math.inf, math.inf)
     circles: tuple[int, ...] = ()
 
-    def valid(self, percept: Tensor) -> Tensor:
-        """The percepts (n, D), in which sines and cosines are those of an angle."""
-        percept = percept.clamp(*self.bounds)
-        for place in self.circles:
-            pair = percept[:, place : place + 2]
-            percept[:, place : place + 2] = pair / pair.norm(dim=1, keepdim=True).clamp_min(1e-6)
-        return percept
-
 
 GIVEN: dict[str, Given] = {
     "cartpole": Given(cartpole),

@@ -1,0 +1,228 @@
+"""The steps of a search in imagined episodes: what is tried, imagined, played and explored.
+
+`cgtorch.improvement.imagined` says how they belong together.
+"""
+
+import time
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from cgtorch.evolution import Generation, evolve
+from cgtorch.graphs import Graphs, Skill, compacted, merged
+from cgtorch.ground.asked import NOTHING, Asked
+from cgtorch.ground.environment import Environment
+from cgtorch.improvement.events import (
+    EpisodePlayed,
+    MeanTested,
+    ModelsFitted,
+    ModelSummary,
+)
+from cgtorch.improvement.imagined_state import (
+    CHAMPIONS,
+    CURIOUS,
+    PATIENCE,
+    RANDOM,
+    STARTS,
+    Known,
+    Models,
+    State,
+)
+from cgtorch.improvement.mean_search import MeanSearch
+from cgtorch.improvement.paired_race import Fresh
+from cgtorch.improvement.played import OneEpisode, Steps, played, tried_out
+from cgtorch.improvement.setup import Draw, Setup
+from cgtorch.improvement.trial import first_percepts
+from cgtorch.simulation import rollout
+
+EACH = 8
+"""Imagined episodes of an individual that explores; each generation has other ones."""
+EPISODES, SHORT = 4, 25
+"""Episodes of random controls to begin with, and steps after which they are broken off."""
+LOOKS = 500
+"""First percepts of episodes that are looked at, without a step."""
+CHANGES = (1.0, 0.25, 0.06)
+"""Chances of another control in each step; an episode has one of them."""
+HORIZON = 1000
+"""Steps of an imagined episode at most."""
+CURIOUS_STEPS, EXPLORING = 100, 10
+"""Steps of an episode at most that is to explore, and generations of the search for its graph."""
+SURE = 500
+"""Imagined episodes by which a champion is judged before it is played in the world."""
+FRESH = 100
+"""Fresh episodes by which an offer is judged, whose mean is not that of all."""
+TELLING = 0.03
+"""How unsure Γ is on average, of 1 where it knows nothing, in episodes that it learns from."""
+MOST_CAUTIOUS = 3
+"""Standard errors by which a champion has to be better than is wanted: one at first, and one more
+after each offer that was not good on fresh episodes, up to so many."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """The constant parts of a search."""
+
+    setup: Setup[Any]
+    models: Models
+    draw: Draw[Any]
+
+    def wanted(self, most_steps: int) -> float:
+        """The return of episodes broken off after so many steps that goes with the target."""
+        return self.setup.budget.satisfied * min(1.0, most_steps / self.models.most_steps)
+
+    def in_models(self, known: Known) -> MeanSearch:
+        """A search for the best mean of imagined episodes."""
+
+        def world(count: int, generator: Generator) -> Environment:
+            return known.world(count, HORIZON, generator)
+
+        budget = replace(self.setup.budget, satisfied=self.wanted(HORIZON))
+        setup = replace(self.setup, budget=budget)
+        return MeanSearch(setup, Fresh(world, setup.max_transitions))
+
+    def begun(self, generator: Generator) -> State:
+        """What is known after looks and episodes of random controls."""
+        setup, before = self.setup, self.setup.purse.total
+        setup.purse.pay(STARTS, Asked(looks=LOOKS))
+        starts = first_percepts(setup.world_of(self.draw(LOOKS, generator)))
+        looks = setup.purse.total - before
+        parts, total = list[Steps](), NOTHING
+        for number in range(EPISODES):
+            change = CHANGES[number % len(CHANGES)]
+            episode, before = self._episode(RANDOM, SHORT, generator), setup.purse.total
+            control = lambda: self.models.random_control(generator)  # noqa: E731
+            parts.append(tried_out(episode, control, change, generator))
+            total += setup.purse.total - before
+        began = time.perf_counter()
+        known = self.models.learned(starts, Steps.joined(parts))
+        state = State(known).met(known, STARTS, looks).met(known, RANDOM, total)
+        summary = ModelSummary(f"{EPISODES} episodes of random controls: {known.summary()}")
+        seconds = time.perf_counter() - began
+        setup.watch(ModelsFitted(setup.name, replace(summary, first=True), seconds))
+        return state
+
+    def _episode(self, phase: str, most: float, generator: Generator) -> OneEpisode:
+        """A fresh episode in the world, broken off after so many steps."""
+        setup = self.setup
+        world = setup.world_of(self.draw(1, generator))
+        return OneEpisode(world, setup.purse, phase, most, self.models.most_steps)
+
+    def after(
+        self, state: State, generation: Generation, generator: Generator
+    ) -> tuple[State, bool]:
+        """The state after a generation, and whether its skill is offered."""
+        search = self.in_models(state.known)
+        *_, inner = search.after(state.inner, generation, generator)
+        inner, certain = search.certain(inner, generator)
+        state = replace(state, inner=inner, waited=state.waited + 1)
+        if (
+            certain
+            and inner.holder is not None
+            and self.surely(state, inner.holder.skill, generator)
+        ):
+            return self._champion_played(state, inner.holder.skill, generator)
+        if state.waited < state.patience:
+            return state, False
+        state, graphs = replace(state, waited=0), generation.champion.graphs
+        if self.telling(graphs, state.known, generator):
+            return self._played(state, graphs, CURIOUS, CURIOUS_STEPS, generator)[0], False
+        curious = self.exploring(state.known, generator)
+        if self.telling(curious, state.known, generator):
+            return self._explored(state, graphs, curious, generator)
+        return replace(state, patience=state.patience + PATIENCE), False
+
+    def _explored(
+        self, state: State, graphs: Graphs, curious: Graphs, generator: Generator
+    ) -> tuple[State, bool]:
+        """The state after an episode of a graph that explores, and whether it is offered.
+
+        It is if it came to the target by itself. If more is imagined for it by now than for the
+        champion, the search begins again with it.
+        """
+        state, reached, _ = self._played(state, curious, CURIOUS, CURIOUS_STEPS, generator)
+        skill, worlds = self.skill_of(curious), state.known.world(SURE, HORIZON, generator)
+        good = bool(state.known.steps.ended[-1]) and reached >= self.wanted(HORIZON)
+        if good and self.surely(state, skill, generator):
+            return replace(state, skill=skill), True
+        better = self.promised(curious, worlds)[0] > self.promised(graphs, worlds)[0]
+        return replace(state, seed=curious if better else None), False
+
+    def surely(self, state: State, skill: Skill, generator: Generator) -> bool:
+        """Whether enough is imagined for a skill, beyond what chance may add on fresh episodes."""
+        cautious = min(1 + state.known.offered, MOST_CAUTIOUS)
+        worlds = state.known.world(SURE, HORIZON, generator)
+        mean, error = self.promised(skill.graph, worlds)
+        return mean - self.wanted(HORIZON) >= cautious * error
+
+    def _champion_played(
+        self, state: State, skill: Skill, generator: Generator
+    ) -> tuple[State, bool]:
+        """The state after an episode of a champion, and whether it is offered.
+
+        It is if the episode was good enough, or gave what was imagined for a good skill, and if
+        enough is imagined for it by now.
+        """
+        worlds = state.known.world(SURE, HORIZON, generator)
+        margin = self.promised(skill.graph, worlds)[0] - self.wanted(HORIZON)
+        state, reached, short = self._played(state, skill.graph, CHAMPIONS, HORIZON, generator)
+        kept = reached >= self.wanted(HORIZON) or (margin >= 0 and short <= margin)
+        offered = kept and self.surely(state, skill, generator)
+        told = None if reached == -inf else reached
+        about = self.setup.name, skill, offered, told, None, 1
+        self.setup.watch(MeanTested(*about, state.inner.need.scenarios, state.episodes))
+        return (replace(state, skill=skill) if offered else state), offered
+
+    def _played(
+        self, state: State, graphs: Graphs, phase: str, most: int, generator: Generator
+    ) -> tuple[State, float, float]:
+        """The state after an episode in the world, its return, and how much more was imagined."""
+        setup, before = self.setup, self.setup.purse.total
+        episode = self._episode(phase, most, generator)
+        reached, steps = played(episode, graphs, setup.actions, setup.max_transitions)
+        asked, known, said = setup.purse.total - before, state.known, inf
+        if len(steps):
+            start = steps.percept[:1]
+            here = known.begun_at(start, SURE, most, generator)
+            said = float(self.imagined(graphs, here).mean())
+            known = known.after(start, steps)
+        state = state.met(known, phase, asked)
+        returned = None if reached == -inf else reached
+        about = returned, asked.motions, state.steps
+        setup.watch(EpisodePlayed(setup.name, phase, *about))
+        return state, reached, said - reached
+
+    def imagined(self, graphs: Graphs, world: Environment) -> Tensor:
+        """(B,) returns of a graph in imagined episodes."""
+        setup = self.setup
+        found = rollout(graphs, setup.actions, world, max_transitions=setup.max_transitions)
+        return torch.full((1,), -torch.inf) if found.returns is None else found.returns[0]
+
+    def promised(self, graphs: Graphs, world: Environment) -> tuple[float, float]:
+        """The mean return of a graph in imagined episodes, and its standard error on fresh ones."""
+        returns = self.imagined(graphs, world).double()
+        error = returns.std() / FRESH**0.5
+        return float(returns.mean()), float(error.nan_to_num(nan=torch.inf))
+
+    def telling(self, graphs: Graphs, known: Known, generator: Generator) -> bool:
+        """Whether the models would learn from an episode of a graph."""
+        steps = min(CURIOUS_STEPS, self.models.most_steps)
+        world = known.curious(SURE, CURIOUS_STEPS, generator)
+        return float(self.imagined(graphs, world).mean()) >= TELLING * steps
+
+    def exploring(self, known: Known, generator: Generator) -> Graphs:
+        """A graph that comes to where Γ is unsure."""
+        setup = self.setup
+        worlds = lambda number: known.curious(EACH, CURIOUS_STEPS, generator)  # noqa: E731
+        about = worlds, setup.actions, setup.evolution, generator
+        for generation in evolve(*about, max_transitions=setup.max_transitions):
+            if generation.number == EXPLORING or setup.purse.late():
+                break
+        return generation.champion.graphs
+
+    def skill_of(self, graphs: Graphs) -> Skill:
+        """The skill of a single graph."""
+        setup = self.setup
+        return Skill(setup.name, merged(compacted(graphs)), setup.actions, setup.max_transitions)

@@ -1,0 +1,159 @@
+"""A search in imagined episodes: few steps in the world, and the same after an interruption."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from rewarded_cart import CartModels, GivenModels, Places, RewardedCart
+from support import same, seeded
+from watched import of_kind
+
+from cgtorch.evolution import REWARDS
+from cgtorch.graphs import Skill
+from cgtorch.ground.asked import Purse
+from cgtorch.improvement.events import (
+    EpisodePlayed,
+    Event,
+    GenerationDone,
+    MeanTested,
+    ModelsFitted,
+    SkillAccepted,
+)
+from cgtorch.improvement.imagined import improve_imagined
+from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT
+from cgtorch.improvement.played import OneEpisode, tried_out
+from cgtorch.improvement.setup import Budget, Progress, Setup
+from cgtorch.runs.journal import FileJournal
+from cgtorch.simulation import rollout
+
+DOMAIN = RewardedCart()
+NOTHING = DOMAIN.draw("any", 0, seeded(0))
+BEFORE: Progress[Places] = Progress(None, NOTHING, NOTHING, None)
+SMALL = replace(REWARDS, population=16)
+
+
+def setup_of(watch: Callable[[Event], Any], **others: Any) -> Setup[Places]:
+    given = {
+        "budget": Budget(60, satisfied=8.0), "attempts": 1, "generator": seeded(0),
+        "purse": Purse(), **others,
+    }  # fmt: skip
+    return Setup(
+        actions=DOMAIN.actions(),
+        world_of=DOMAIN.world,
+        imagine=lambda *_: DOMAIN.world(NOTHING),
+        evolution=SMALL,
+        max_transitions=500,
+        watch=watch,
+        **given,
+    )
+
+
+def searched(
+    setup: Setup[Places], before: Progress[Places] = BEFORE, kind: type[CartModels] = CartModels
+) -> Progress[Places]:
+    def draw(count: int, generator: Any) -> Places:
+        return DOMAIN.draw("any", count, generator)
+
+    return improve_imagined(setup, before, NOTHING, draw, kind(DOMAIN))
+
+
+def mean_return(skill: Skill | None) -> float:
+    assert skill is not None
+    world = DOMAIN.world(DOMAIN.draw("any", 200, seeded(99)))
+    found = rollout(skill.graph, skill.actions, world, max_transitions=500).returns
+    assert found is not None
+    return float(found.mean())
+
+
+@pytest.mark.parametrize("kind", [CartModels, GivenModels], ids=["learned", "given"])
+def test_a_skill_is_found_within_few_steps_and_all_of_them_are_counted(
+    kind: type[CartModels],
+) -> None:
+    told: list[Event] = []
+    setup = setup_of(told.append)
+    after = searched(setup, kind=kind)
+    assert mean_return(after.skill) >= 8
+    asked = setup.purse.total
+    assert asked.motions == len(after.knowledge.steps) <= 300
+    assert asked.looks == LOOKS
+    episodes = of_kind(told, EpisodePlayed)
+    assert asked.episodes == EPISODES + len(episodes)
+    assert episodes[-1].total == asked.motions
+    assert sum(each.steps for each in episodes) + EPISODES * SHORT >= asked.motions
+    assert of_kind(told, ModelsFitted)[0].summary.first
+    assert of_kind(told, SkillAccepted)[0].skill is after.skill
+    assert after.knowledge.offered == 1
+
+
+def test_it_ends_with_its_budget_and_its_time_and_keeps_a_skill() -> None:
+    little = Purse({"motions": 20})
+    assert searched(setup_of(lambda _: None, purse=little)) == BEFORE
+    told: list[Event] = []
+    late = Purse()
+
+    def watch(event: Event) -> None:
+        told.append(event)
+        if isinstance(event, GenerationDone):
+            late.until = time.monotonic()
+
+    hopeless = Budget(60, satisfied=1e6)
+    after = searched(setup_of(watch, purse=late, budget=hopeless))
+    assert after.skill is not None
+    assert len(of_kind(told, GenerationDone)) == 1
+    again = searched(setup_of(lambda _: None, budget=replace(hopeless, generations=2)), after)
+    assert len(again.knowledge.steps) == len(after.knowledge.steps)  # nothing begins anew
+
+
+@pytest.mark.parametrize("number", [1, 4, 12])
+def test_it_is_the_same_after_an_interruption(number: int, tmp_path: Path) -> None:
+    whole, again, met = list[Event](), list[Event](), 0
+    budget = Budget(14, satisfied=1e6)  # which is never reached
+    first, second = Purse(), Purse()
+    wanted = searched(setup_of(whole.append, budget=budget, purse=first))
+    assert len(of_kind(whole, GenerationDone)) >= number
+
+    def stop(event: Event) -> None:
+        nonlocal met
+        met += isinstance(event, GenerationDone)
+        if met == number:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), FileJournal(tmp_path, seconds=0) as journal:
+        searched(setup_of(stop, budget=budget, journal=journal))
+    with FileJournal(tmp_path) as journal:
+        setup = setup_of(again.append, budget=budget, journal=journal, purse=second)
+        found = searched(setup)
+    rest = of_kind(whole, GenerationDone)[number - 1 :]
+    own = of_kind(again, GenerationDone)
+    assert [e.generation.best for e in own] == [e.generation.best for e in rest]
+    assert found.skill is not None
+    assert wanted.skill is not None
+    assert same(found.skill.graph, wanted.skill.graph)
+    assert torch.equal(found.knowledge.steps.after, wanted.knowledge.steps.after)
+    assert first.spent == second.spent
+
+
+def test_champions_of_the_world_are_told() -> None:
+    told: list[Event] = []
+    searched(setup_of(told.append))
+    played = [e for e in of_kind(told, EpisodePlayed) if e.phase == "champions"]
+    assert [e.mean for e in of_kind(told, MeanTested)] == [e.returned for e in played]
+
+
+def test_an_episode_is_broken_off_and_only_its_own_end_is_one() -> None:
+    def steps_of(place: float, most: int, limit: int) -> tuple[int, list[bool], int]:
+        purse = Purse()
+        world = DOMAIN.world(Places(torch.tensor([place])))
+        episode = OneEpisode(world, purse, "trials", most, limit)
+        steps = tried_out(episode, lambda: torch.ones(1, 1), 0.5, seeded(0))
+        return len(steps), steps.ended.tolist(), purse.total.motions
+
+    assert steps_of(-5.0, 3, 30) == (3, [False] * 3, 3)
+    assert steps_of(0.95, 9, 30) == (1, [True], 1)
+    assert steps_of(0.95, 9, 1) == (1, [False], 1)
+    count, ended, _ = steps_of(-50.0, 99, 30)
+    assert (count, any(ended)) == (30, False)
