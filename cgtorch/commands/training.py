@@ -112,6 +112,9 @@ def _before(work: Work) -> Iterator[str]:
         yield f"  1. {parts}, and fit the transition model Γ and the success classifier C."
         yield "  2. Evolve skills inside Γ and C, and try the best of them in the world."
         yield "  3. Accept a skill if it forgets nothing and solves something new."
+    elif run.imagines:
+        yield "  1. Play a few short episodes of random controls, and fit Γ and rewards to them."
+        yield "  2. Evolve skills in imagined episodes, and play the best of them in the world."
     elif rewarded(run.domain):
         yield "  1. Evolve skills in the world itself, on fresh episodes in each generation."
         yield "  2. Keep the best until another skill beats it on further fresh episodes."
