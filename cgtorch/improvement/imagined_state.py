@@ -24,7 +24,7 @@ PHASES = RANDOM, CHAMPIONS, CURIOUS, STARTS = (
 """For what the world is asked."""
 KNOWN = "known."
 """Begins the names of tensors of what is known."""
-PATIENCE = 10
+PATIENCE = 1
 """Generations that a good champion is waited for at first, and by how many more once there is
 nothing left to explore."""
 
