@@ -4,9 +4,9 @@
 
 Each environment and seed is one `cgtorch-train --domain gymnasium:ENV_ID --seed N --rounds 10`, and
 then `cgtorch-evaluate --count 100 --seed 1000` of its last skill. An environment is solved if the
-mean return of these 100 fresh episodes is at least Gymnasium's own threshold (Pendulum has none:
--200). Episodes and world steps are counted where Gymnasium plays them, in the training with all its
-tests, but not in the 100 episodes. What FOLDER holds already is not measured again; with more
+mean return of these 100 fresh episodes is at least the target in `TASKS`, or Gymnasium's own
+threshold. Episodes and world steps are counted where Gymnasium plays them, in the training with all
+its tests, but not in the 100 episodes. What FOLDER holds already is not measured again; with more
 rounds, its runs that have not reached their goals are gone on with.
 """
 
@@ -40,6 +40,11 @@ TASKS: dict[str, list[str]] = {
     "MountainCarContinuous-v0": [],
     "Pendulum-v1": ["--target", "-200", "--attempts", "1"],
     "LunarLander-v3": ["--attempts", "1"],
+    "InvertedDoublePendulum-v5": ["--target", "9000"],
+    "Swimmer-v5": ["--target", "300"],
+    "Reacher-v5": ["--target", "-6"],
+    "Hopper-v5": ["--target", "2800"],
+    "HalfCheetah-v5": ["--target", "3300"],
 }
 EPISODES, FRESH_SEED = 100, 1000
 NAMES = ("environment", "seed", "mean_return", "solved", "rounds", "episodes", "steps", "seconds")
@@ -50,8 +55,11 @@ NAMES = ("environment", "seed", "mean_return", "solved", "rounds", "episodes", "
 @click.option("--only", multiple=True, type=click.Choice([*TASKS]), help="Of these only.")
 @seeds_option("0:5")
 @click.option("--rounds", default=10, show_default=True, help="The most rounds of a run.")
+@click.option("--minutes", default=1000.0, show_default=True, help="The most minutes of a run.")
 @click.option("--jobs", default=1, show_default=True, help="Runs side by side.")
-def command(folder: Path, only: tuple[str, ...], seeds: range, rounds: int, jobs: int) -> None:
+def command(
+    folder: Path, only: tuple[str, ...], seeds: range, rounds: int, minutes: float, jobs: int
+) -> None:
     """Train skills for Gymnasium environments and try them on fresh episodes."""
     work = [(environment, seed) for environment in only or TASKS for seed in seeds]
     # One process for each run: the counters and the CPU seconds are its own.
@@ -59,13 +67,17 @@ def command(folder: Path, only: tuple[str, ...], seeds: range, rounds: int, jobs
         jobs, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1
     )
     with pool:
-        results = list(pool.map(partial(measured, folder, rounds), *zip(*work, strict=True)))
+        results = list(
+            pool.map(partial(measured, folder, rounds, minutes), *zip(*work, strict=True))
+        )
     write_json(folder / "results.json", results)
     click.echo(table(results))
     click.echo(summary(results))
 
 
-def measured(folder: Path, rounds: int, environment: str, seed: int) -> dict[str, Any]:
+def measured(
+    folder: Path, rounds: int, minutes: float, environment: str, seed: int
+) -> dict[str, Any]:
     """One environment and seed; a run that has made fewer rounds before is gone on with."""
     run = folder / f"{environment}-{seed}"
     kept = run / "measured.json"
@@ -73,7 +85,8 @@ def measured(folder: Path, rounds: int, environment: str, seed: int) -> dict[str
         shutil.rmtree(run, ignore_errors=True)
     if not _ended(run, rounds):
         known = run.is_dir()
-        about = ["--rounds", str(rounds), "--minutes", "1000", "--quiet"]
+        limits = ["--rounds", str(rounds), "--minutes", str(minutes)]
+        about = [*limits, "--processes", "1", "--quiet"]  # in which steps are counted
         new = ["--domain", f"gymnasium:{environment}", "--seed", str(seed), *TASKS[environment]]
         words = [*about, "--resume", str(run)] if known else [*new, *about, "--run-dir", str(run)]
         counts = counted(partial(train, words, standalone_mode=False))

@@ -83,10 +83,14 @@ class State:
 
     @property
     def behind(self) -> bool:
-        """Whether it is the turn of `tuning` to be updated, and not that of its rivals."""
+        """Whether it is the turn of `tuning` to be updated, and not that of its rivals.
+
+        A rival with a toll has as many turns, as it wins late where it does.
+        """
         if self.tuning is None or not self.rivals:
             return self.tuning is not None
-        weight = AHEAD if self.tuning.winning else 1
+        preferred = self.tuning.winning and not any(each.toll for each in self.rivals)
+        weight = AHEAD if preferred else 1
         return self.spent.tuned < weight * self.spent.rivals
 
 

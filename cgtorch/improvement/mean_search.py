@@ -173,13 +173,14 @@ class MeanSearch:
         assert state.tuning is not None  # noqa: S101  it is what is behind
         state, tuning, episodes, executed = self._updated(state, state.tuning, generator)
         state = replace(state, spent=replace(state.spent, tuned=state.spent.tuned + executed))
+        if tuning.distribution.updates == 1:
+            state = replace(state, rivals=self._with_other_toll(state, tuning))
         if not tuning.due:
             return replace(state, tuning=tuning)
-        state, tuning, won = self._mean_raced(state, tuning, generator)
-        if not won and tuning.lost == 2:
-            state = replace(state, rivals=self._with_other_toll(state, tuning))
+        state, tuning, _ = self._mean_raced(state, tuning, generator)
         if not tuning.stalled:
             return replace(state, tuning=tuning)
+        state = replace(state, rivals=self._with_other_toll(state, tuning))
         more = tuning.more() if LARGEST * episodes <= state.spent.episodes else None
         return replace(state, tuning=more, settled=more is None)
 

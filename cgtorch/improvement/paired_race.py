@@ -16,7 +16,7 @@ from cgtorch.graphs import ActionSet, Graphs, Skill
 from cgtorch.ground.environment import Environment
 from cgtorch.simulation import shared_rollout
 
-FIRST = 8  # pairs of the first look
+FIRST = 4  # pairs of the first look, which only a clear loss decides
 SURE, AT_LAST = 3.0, 1.64  # standard errors by which it has to be better, and after the last pair
 MANY = 512  # pairs from which that is enough after the last
 HOPELESS = 1.0  # standard errors below the holder at which it gives up
@@ -108,7 +108,7 @@ def paired_race(
     lucky. Of few pairs, the gain has to be larger (`student`).
     """
     own, others, size = torch.zeros(0), torch.zeros(0), FIRST
-    longest = max(longest, FIRST)
+    longest = max(longest, 2 * FIRST)
     while True:
         old, new = fresh.of_skills([holder.skill, challenger], size, generator)
         own, others = torch.cat([own, old]), torch.cat([others, new])
@@ -119,9 +119,10 @@ def paired_race(
         gain = (others - own).double()
         mean, error, last = float(gain.mean()), _error(gain), len(gain) >= longest
         enough = AT_LAST if last and len(gain) >= MANY else SURE
-        if mean > student(enough, len(gain) - 1) * error:
+        enough = student(enough, len(gain) - 1)
+        if len(gain) > FIRST and mean > enough * error:
             return Holder(challenger)
-        if last or (len(gain) > FIRST and mean < -HOPELESS * error):
+        if mean < -enough * error or last or (len(gain) > FIRST and mean < -HOPELESS * error):
             return holder
         size = min(len(gain), longest - len(gain))
 

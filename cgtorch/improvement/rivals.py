@@ -70,8 +70,12 @@ def compared(rivals: Sequence[Tuning]) -> bool:
 
 
 def next_rival(rivals: Sequence[Tuning]) -> int:
-    """The place of the rival that is updated next, the one with the fewest updates."""
-    return min(range(len(rivals)), key=lambda place: rivals[place].distribution.updates)
+    """The place of the rival that is updated next: one with a toll, else the least updated one."""
+
+    def turn(place: int) -> tuple[bool, int]:
+        return not rivals[place].toll, rivals[place].distribution.updates
+
+    return min(range(len(rivals)), key=turn)
 
 
 def simplest(rivals: Sequence[Tuning], actions: ActionSet) -> Tuning:

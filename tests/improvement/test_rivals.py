@@ -63,6 +63,7 @@ def test_the_worse_half_ends_at_each_rung_and_those_with_a_toll_go_on() -> None:
 def test_the_one_with_the_fewest_updates_is_next_and_several_are_compared() -> None:
     rivals = [tuning(1.0, 4), tuning(2.0, 3), tuning(3.0, 3)]
     assert next_rival(rivals) == 1
+    assert next_rival([*rivals, tuning(0.0, 9, toll=1.0)]) == 3
     assert compared(rivals)
     assert not compared([rivals[0], tuning(1.0, 1, toll=2.0)])
     assert not compared([])
