@@ -124,7 +124,7 @@ class Search:
             and self.surely(state, inner.holder.skill, generator)
         ):
             return self._champion_played(state, inner.holder.skill, generator)
-        if state.waited < state.patience:
+        if state.waited < state.patience or self.setup.purse.late():
             return state, False
         state, graphs = replace(state, waited=0), generation.champion.graphs
         if self.telling(graphs, state.known, generator):

@@ -88,6 +88,7 @@ def test_the_options_are_kept(made: Path) -> None:
         "success": "success",
         "success_at": "any",
         "wrappers": ["push:wrapped"],
+        "reward": "",
     }
 
 

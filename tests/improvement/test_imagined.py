@@ -104,8 +104,11 @@ def test_it_ends_with_its_budget_and_its_time_and_keeps_a_skill() -> None:
     after = searched(setup_of(watch, purse=late, budget=hopeless))
     assert after.skill is not None
     assert len(of_kind(told, GenerationDone)) == 1
-    again = searched(setup_of(lambda _: None, budget=replace(hopeless, generations=2)), after)
-    assert len(again.knowledge.steps) == len(after.knowledge.steps)  # nothing begins anew
+    told.clear()
+    again = searched(setup_of(told.append, budget=replace(hopeless, generations=2)), after)
+    before = after.knowledge.steps.percept  # nothing begins anew
+    assert torch.equal(again.knowledge.steps.percept[: len(before)], before)
+    assert not of_kind(told, ModelsFitted)
 
 
 @pytest.mark.parametrize("number", [1, 4, 12])

@@ -156,6 +156,7 @@ def test_the_time_ends_a_round_within_seconds_and_keeps_its_best(tmp_path: Path)
     assert last_skill(run.folder, domain=run.domain)[1].num_nodes > 0
 
 
-def test_models_with_rewards_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="gives rewards"):
-        made(tmp_path / "run", PaidTombola(), models="learned")
+def test_models_with_rewards_are_refused_for_the_papers_method(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"gives rewards, and a Γ .* with method 'paper'"):
+        made(tmp_path / "run", PaidTombola(), models="learned", method="paper")
+    assert made(tmp_path / "other", PaidTombola(), models="learned").imagines
