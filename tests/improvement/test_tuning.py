@@ -6,9 +6,10 @@ import pytest
 import torch
 from lottery import ACTIONS, Lottery, PaidLottery, idle, staking, tickets
 from support import seeded
-from torch import Generator
+from torch import Generator, Tensor
 
-from cgtorch.graphs import ActionSet, LinearNN
+from cgtorch.graphs import ActionSet, Graphs, LinearNN
+from cgtorch.ground.environment import Environment
 from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.tuning import (
     DOUBTFUL,
@@ -153,15 +154,25 @@ def test_it_is_preferred_until_it_has_lost_races_in_a_row() -> None:
     assert tuning.raced(True).winning
 
 
+class Lengthy(Fresh):
+    """Episodes take the longer, the larger the first parameter is."""
+
+    def played(
+        self, graphs: Graphs, actions: ActionSet, world: Environment
+    ) -> tuple[Tensor, Tensor]:
+        values, lengths = super().played(graphs, actions, world)
+        return values, lengths + 10 * (1 + graphs.parameters[:, 0, :1])
+
+
 def test_a_toll_changes_what_is_best_and_not_what_is_told() -> None:
-    place, tuning = fresh(), begun(staking(1.0).graph, ACTIONS, 50, toll=3.0)
-    assert tuning is not None
-    after, _ = update(tuning, ACTIONS, place, seeded(0))
-    usual, _ = update(replace(tuning, toll=0.0), ACTIONS, place, seeded(0))
+    usual = begun(staking(1.0).graph, ACTIONS, 50)
+    assert usual is not None
+    place = Lengthy(fresh().world, max_transitions=3)
+    free, _ = update(usual, ACTIONS, place, seeded(0))
+    after, _ = update(replace(usual, toll=3.0), ACTIONS, place, seeded(0))
     assert after.toll == 3
-    assert after.recent == usual.recent
-    # All episodes have one transition here, so the toll is the same for all.
-    assert torch.equal(after.distribution.mean, usual.distribution.mean)
+    assert after.recent == free.recent
+    assert after.distribution.mean[0] < free.distribution.mean[0] - 0.1
 
 
 def test_transitions_are_worth_something_where_values_are_mainly_lengths() -> None:
