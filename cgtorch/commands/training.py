@@ -12,6 +12,7 @@ from cgtorch.domains.domain import bounded, rewarded
 from cgtorch.domains.registry import TABLETOP, is_code, with_name
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.asked import NOTHING
 from cgtorch.native.rank_processes import in_ranks
 from cgtorch.report import ProgressDisplay, final_table
 from cgtorch.report.messages import asked_of
@@ -81,7 +82,8 @@ def _train(work: Work, quiet: bool) -> None:
                 display.say(line, style="bold" if line.startswith("New") else "")
         results = carry_out(work, display)
         display.say(f"run {run.folder} {_end(work, results)}")
-        display.say(asked_of("robot" if run.settings.driver else "world", work.purse))
+        if work.purse.total != NOTHING:
+            display.say(asked_of("robot" if run.settings.driver else "world", work.purse))
     if ranks.first():
         Console().print(final_table(results, run.domain))
     with ProgressDisplay(quiet=quiet) as display:
