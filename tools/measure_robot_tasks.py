@@ -6,7 +6,8 @@ A skill of Meta-World meets fifty goals per task of the benchmark's own MT1, whi
 draws. Each low-level step is `env.step`, no state is set, and success counts at any step. A skill
 of Fetch meets 100 fresh starts in the environment that `gymnasium.make` makes, and success counts
 at the last step. FOLDER keeps every run and, beside it, a JSON file with the results; what is there
-is not made again. The table is FOLDER/table.md.
+is not made again. The table is FOLDER/table.md. It tells the forward transfer of a set whose tasks
+FOLDER holds one by one, too, with the same seed.
 """
 
 import subprocess
@@ -38,6 +39,8 @@ from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.simulation import rollout
 
 GOALS, MT1_SEED = 50, 12345
+PUBLISHED = 1_000_000
+"""Low-level steps that published learners get for each task of Continual World."""
 ONE_BY_ONE = Lock()
 """Goals are drawn by numpy's global generator, which threads share."""
 FETCH_STARTS, FETCH_SEED = 100, 50_000_000
@@ -249,18 +252,54 @@ def line(result: dict[str, Any]) -> str:
 def table(results: list[dict[str, Any]]) -> str:
     """Markdown: a line for each run."""
     lines = [
-        "| domain | seed | official mean | least | requested | simulated | s |",
-        "|---|---|---|---|---|---|---|",
+        "| domain | seed | official mean | least | requested | simulated | s | forward transfer |",
+        "|---|---|---|---|---|---|---|---|",
     ]
+    alone = {
+        (next(iter(result["official"])), result["seed"]): result
+        for result in results
+        if len(result["steps"]) == 1
+    }
     for result in results:
+        transfer = forward_transfer(result, alone)
         rates = [good / tries for good, tries, _ in result["official"].values()]
         requested, simulated = (sum(n[i] for n in result["steps"].values()) for i in (0, 1))
         cells = (
             f"{result['domain']} | {result['seed']} | {sum(rates) / len(rates):.1%} | "
-            f"{min(rates):.0%} | {requested:,} | {simulated:,} | {result['seconds']:.0f}"
+            f"{min(rates):.0%} | {requested:,} | {simulated:,} | {result['seconds']:.0f} | "
+            f"{'–' if transfer is None else f'{transfer:.2f}'}"
         )
         lines.append(f"| {cells} |")
     return "\n".join(lines) + "\n"
+
+
+def forward_transfer(
+    result: dict[str, Any], alone: dict[tuple[str, int], dict[str, Any]]
+) -> float | None:
+    """How much of what tasks cost alone is saved by what was learned before, on average.
+
+    It is the mean over all tasks but the first one of (A - R) / (1 - R), where A is the area under
+    the curve of success over `PUBLISHED` requested steps, and R is that of the task alone (Wolczyk
+    et al., "Continual World", NeurIPS 2021). A curve is 0 until the training of a task ends, and
+    then what the official goals give. None if a task alone is not there, with the same seed.
+    """
+    found = list[float]()
+    for stage, (requested, _) in list(result["steps"].items())[1:]:
+        task = stage.partition("-")[2]
+        if (single := alone.get((task, result["seed"]))) is None:
+            return None
+        ((before, _),) = single["steps"].values()
+        mine, other = (
+            area(each["official"][task], n) for each, n in ((result, requested), (single, before))
+        )
+        found.append((mine - other) / (1 - other))
+    return sum(found) / len(found) if found else None
+
+
+def area(official: list[float], steps: int) -> float:
+    """The area under a curve that is 0 before so many steps, and then the share of goals solved."""
+    good, tries, _ = official
+    return good / tries * (1 - min(1.0, steps / PUBLISHED))
 
 
 if __name__ == "__main__":
