@@ -12,9 +12,11 @@ import torch
 from torch import Generator
 
 from cgtorch.evolution import EvolutionSettings, Generation, Population
+from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.population import initial_strategy, join
 from cgtorch.evolution.selection import ranking
 from cgtorch.graphs import Graphs, Skill, compacted, merged
+from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.expected_state import State
 from cgtorch.improvement.paired_race import Fresh, Holder, paired_race
 from cgtorch.improvement.rivals import compared, first_rivals, halved, next_rival, simplest
@@ -26,6 +28,7 @@ OFTEN = 5  # generations after which the mean of a holder that stays is known be
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
 KNOWN = 16  # values of the holder from which its mean is compared with the target
 TRIED, CERTAIN = 100, 2.0  # values with which it has to hold, by so many standard errors
+ENDLESS = 10  # generations in which no episode ends, after which a search is hopeless
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,8 @@ class MeanSearch:
     def after(self, state: State, generation: Generation, generator: Generator) -> Iterator[State]:
         """The states after a generation: its champion has raced, then after each update.
 
-        It ends before enough was tuned where the holder may have reached the target.
+        It ends before enough was tuned where the holder may have reached the target. SettingsError
+        if for `ENDLESS` generations no episode has ended, so that nothing has a return.
         """
         spent = state.spent
         spent = replace(
@@ -56,6 +60,7 @@ class MeanSearch:
         most = spent.episodes // (LARGEST * len(generation.scores))
         state = replace(state, need=state.need.after(generation.scores, most), spent=spent)
         state = self._champion_raced(state, generation, generator)
+        self._check_ends(state, generation)
         state = self._met(state, generation.number, generator)
         if not state.rivals:
             state = self._with_rivals(state, generation)
@@ -71,6 +76,15 @@ class MeanSearch:
                 break
             state = self._met(state, 1, generator)
             yield state
+
+    def _check_ends(self, state: State, generation: Generation) -> None:
+        if state.holder is None and generation.best <= WORST and state.spent.generations >= ENDLESS:
+            raise SettingsError(
+                f"no episode of {ENDLESS} generations has ended within "
+                f"{self.setup.max_transitions} transitions, so there is no return; give more "
+                "transitions (max_transitions, --max-transitions) than an episode has steps, or "
+                "let the world end episodes earlier (over)"
+            )
 
     def _promising(self, state: State) -> bool:
         """Whether the mean of the holder, as far as it is known, has reached the target."""

@@ -93,6 +93,8 @@ def _candidate(setup: Setup[S], state: StageState[S]) -> tuple[Candidate, StageS
     if setup.remembers:
         rates = pad(estimated_rates(state, RELIABLE), (0, 1))
     new = composed(setup, state, rates[:, :-1])
+    if setup.remembers and (longer := extended(setup, state, rates[:, :-1])):
+        new = min(new, longer, key=lambda each: _losses(state, each))
     if current is None:
         return new, state
     if same_behaviour(new.skill, current.skill):
@@ -183,11 +185,48 @@ def no_worse(old: Tensor, new: Tensor, keep: Tensor, gain: float = 0.0) -> bool:
 def composed(setup: Setup[S], state: StageState[S], rates: Tensor) -> Candidate:
     """The smallest team that solves what its members solve, given their shares (B, M)."""
     chosen = fewest_members(rates >= RELIABLE, setup.team) or [int(rates.mean(0).argmax())]
+    return _branching(setup, state, chosen, _trained(setup, state, rates[:, chosen]))
+
+
+def extended(setup: Setup[S], state: StageState[S], rates: Tensor) -> Candidate | None:
+    """The skill that acts, which branches to further members before it branches to its own.
+
+    Its own branches stay as they are, so W can only be lost by the new ones. The members' shares
+    are (B, M). None if no other member solves more, or if the branches of the skill are not known.
+    """
+    current = state.current
+    if current is None or current.branches is None:
+        return None
+    held = known_rates(state)[:, -1:]
+    more = (rates >= RELIABLE) & (held < RELIABLE)
+    more[:, list(current.chosen)] = False
+    first = fewest_members(more, setup.team - len(current.chosen))
+    if not first:
+        return None
+    new = _trained(setup, state, torch.cat([rates[:, first], held], 1))
+    branches = torch.stack([*new, *current.branches])
+    return _branching(setup, state, [*first, *current.chosen], branches)
+
+
+def _losses(state: StageState[S], candidate: Candidate) -> tuple[float, float]:
+    """What a candidate loses of W as far as is known, and what it does not solve elsewhere."""
+    fails = 1 - expected(state, candidate)[:, 1]
+    return float(fails[state.keep].sum()), float(fails.sum())
+
+
+def _trained(setup: Setup[S], state: StageState[S], rates: Tensor) -> Tensor:
+    """(M - 1, K) parameters that send scenarios to those of M who solve them, by rates (B, M)."""
     _, branch = branching_action(setup.actions)
     weight = torch.where(state.tried | state.targets, 3.0, 1.0)
     if setup.remembers:
         weight[decisive(state)] = DECIDES
-    branches = train_gating(branch, state.percepts, rates[:, chosen], weight, setup.generator)
+    return train_gating(branch, state.percepts, rates, weight, setup.generator)
+
+
+def _branching(
+    setup: Setup[S], state: StageState[S], chosen: list[int], branches: Tensor
+) -> Candidate:
+    """The skill that branches to the `chosen` members by parameters (M - 1, K)."""
     name, members = f"{setup.name}-{state.number}", [state.members[i] for i in chosen]
     about = branches, setup.actions, setup.max_transitions
     skill = compose(name, members, *about, corrected=not setup.remembers)

@@ -149,10 +149,7 @@ def train(training: Training, stage: str) -> list[dict[str, Any]]:
     ranks.wait()
     missing = " and ".join(name for name in names if name not in run.stages)
     if missing and not training.purse.exhausted:
-        raise NotImprovedError(
-            f"stage {missing} found no skill that keeps W and solves more within "
-            f"{training.attempts} attempts; raise attempts, generations or population"
-        )
+        raise _not_improved(training, missing)
     training.log(TrainingEnded(stage))
     return [result for result in run.results if result["stage"] in names]
 
@@ -261,8 +258,17 @@ def make_stage(
         if made is not None:
             _keep(training, name, tally.accepted, made)
             return made
-    raise NotImprovedError(
-        f"stage {name} found no skill that keeps W and solves more within "
+    raise _not_improved(training, name)
+
+
+def _not_improved(training: Training, missing: str) -> NotImprovedError:
+    """The error of stages without a skill, which says what was too little."""
+    if training.purse.late():
+        return NotImprovedError(
+            f"the time was over before stage {missing} had a skill; give more (minutes, --minutes)"
+        )
+    return NotImprovedError(
+        f"stage {missing} found no skill that keeps W and solves more within "
         f"{training.attempts} attempts; raise attempts, generations or population"
     )
 

@@ -12,10 +12,10 @@ from support import seeded
 from watched import stage_of, state_of, without_models
 
 from cgtorch.improvement import team
-from cgtorch.improvement.compose import branching_action
+from cgtorch.improvement.compose import branches_of, branching_action, compose
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.state import BLAME, FEWEST, STEPS, Candidate
-from cgtorch.improvement.team import RELIABLE, composed, shares
+from cgtorch.improvement.team import RELIABLE, composed, extended, shares
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
@@ -170,3 +170,48 @@ def test_state_grows_with_what_is_met() -> None:
             assert after.targets[3:].tolist() == [targets] * 2
             assert after.shown.tolist() == [0] * 5
             assert torch.equal(after.trust, torch.tensor([[0.0, 0.0]] * 3 + [[1.0, 1.0]] * 2))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_extended_skill_goes_its_own_ways_where_no_new_member_is_sent_to(seed: int) -> None:
+    """It solves what it has solved, though its own members are known to solve nothing else."""
+    generator = seeded(seed)
+    scenarios = random_scenarios("perimeter", 40, generator)
+    members = tuple(replace(nearly(i / 10), name=f"m{i}") for i in range(4))
+    branches = torch.randn(1, BRANCH.num_parameters, generator=generator)
+    skill = compose("S0", [members[2], members[0]], branches, ACTIONS, 20, corrected=False)
+    current = Candidate(skill, (2, 0), branches)
+    near = first_percepts(world_of(scenarios))[:, 0] < 0
+    state = replace(
+        state_of(scenarios, members, near),
+        current=current,
+        shown=near.long(),
+        outcomes=torch.zeros(40, 4).long(),
+    )
+    rates = torch.stack([near * 1.0, ~near * 1.0, near * 1.0, ~near * 0.5], 1)
+    found = extended(stage_of(without_models()), state, rates)
+    assert found is not None
+    assert found.chosen == (1, 2, 0)
+    assert found.branches is not None
+    assert torch.equal(found.branches[1:], branches)
+    before, after = current.sent_to(state.percepts), found.sent_to(state.percepts)
+    assert torch.equal(after[near], before[near])
+    assert (after[~near] == 1).all()
+    assert branches_of(found.skill)[0] == ["m1", "m2", "m0"]  # type: ignore[index]
+
+
+def test_only_a_skill_with_known_branches_and_something_to_gain_is_extended() -> None:
+    scenarios = random_scenarios("perimeter", 10, seeded(3))
+    members = nearly(0.25), replace(nearly(0.4), name="other")
+    state, rates = state_of(scenarios, members), torch.ones(10, 2)
+    setup = stage_of(without_models())
+    assert extended(setup, state, rates) is None
+    known = replace(state, current=Candidate(members[0], (0,)))
+    assert extended(setup, known, rates) is None
+    alone = Candidate(members[0], (0,), torch.zeros(0, BRANCH.num_parameters))
+    found = extended(setup, replace(state, current=alone), rates)
+    assert found is not None
+    assert found.chosen == (1, 0)
+    solved = replace(state, current=alone, keep=torch.ones(10).bool())
+    assert extended(setup, solved, rates) is None
+    assert extended(replace(setup, team=1), replace(state, current=alone), rates) is None

@@ -25,17 +25,18 @@ from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import StoredRun, planned_run, read_run, write_run
 from cgtorch.training.auto import DECISIVE_EPISODES, EPISODES, train_until
 from cgtorch.training.context import Training
+from cgtorch.training.train import NotImprovedError
 
 pytest.importorskip("gymnasium")
 
 
-def begun(folder: Path, attempts: int = 3) -> StoredRun:
+def begun(folder: Path, attempts: int = 3, transitions: int = 2000) -> StoredRun:
     settings = RunSettings(
         domain="gymnasium:CartPole-v1",
         population=12,
         generations=3,
         attempts=attempts,
-        max_transitions=2000,
+        max_transitions=transitions,
     )
     return create_run(folder, settings, GymnasiumSettings("CartPole-v1"))
 
@@ -154,6 +155,19 @@ def test_the_time_ends_a_round_within_seconds_and_keeps_its_best(tmp_path: Path)
     assert run.rounds == ("auto-1",)
     assert results[0]["generations"] < 10_000
     assert last_skill(run.folder, domain=run.domain)[1].num_nodes > 0
+
+
+def test_a_search_in_which_no_episode_ends_says_so(tmp_path: Path) -> None:
+    run = begun(tmp_path / "run", attempts=9, transitions=3)
+    with pytest.raises(SettingsError, match="within 3 transitions, so there is no return; give"):
+        train_until(Training(run, lambda _: None, quietly), Goal(target=9.0, rounds=1))
+    assert not run.rounds
+
+
+def test_time_that_was_too_short_is_told(tmp_path: Path) -> None:
+    run = begun(tmp_path / "run", transitions=3)
+    with pytest.raises(NotImprovedError, match="time was over before stage auto-1 had a skill"):
+        train_until(Training(run, lambda _: None, quietly), Goal(target=9.0, minutes=1e-4))
 
 
 def test_models_with_rewards_are_refused_for_the_papers_method(tmp_path: Path) -> None:

@@ -1,0 +1,1 @@
+"""Worlds in which the same decisions lead to different returns, and rules that are hard to beat."""
