@@ -22,6 +22,7 @@ WORTH_SHARING = 2**19
 """Kernel values for which one more thread pays off: about a quarter of a millisecond in C."""
 
 _LARGEST = 1e18  # scaled features up to which distances are finite
+_FAR = 1e6  # scaled squared features, beyond which their differences are taken one by one
 _ROWS, _CENTRES, _OUTPUTS = 48, 16, 2  # multiples of which torch rounds all rows alike
 _CHUNK_BYTES = 1024**2
 _SMALLEST_CHUNK, _LARGEST_CHUNK = 128, 1024
@@ -33,8 +34,12 @@ def rbf(x: Tensor, s: Tensor, gamma: float) -> Tensor:
     """Kernel values (m, n) between rows x (m, d) and s (n, d)."""
     mean = s.mean(0)  # an offset of the features would cost digits
     x, s = x - mean, s - mean
-    inner = torch.addmm((s * s).sum(1), x, s.T, alpha=-2.0)
-    return inner.add_((x * x).sum(1)[:, None]).clamp_min_(0).mul_(-gamma).exp_()
+    squares, others = (x * x).sum(1)[:, None], (s * s).sum(1)
+    if gamma * float(torch.maximum(squares.max(), others.max())) > _FAR:
+        distance = torch.cdist(x, s, compute_mode="donot_use_mm_for_euclid_dist").square_()
+    else:
+        distance = torch.addmm(others, x, s.T, alpha=-2.0).add_(squares).clamp_min_(0)
+    return distance.mul_(-gamma).exp_()
 
 
 def _resolved(gamma: str | float, x: Tensor) -> float:

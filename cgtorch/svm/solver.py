@@ -31,10 +31,11 @@ _WORTH = 1 / 80, 5e6
 """Kernel values of the first run: a share of n^3, as the cost of a factor, and a constant."""
 _TURNS = 4  # each twice as long as the one before, to a tenth of its violation
 _ENDLESS = 2e7  # steps of the last one
-_LEAST = 1e-12  # of C, below which no violation can be told
+_LEAST = 1e-12  # of the largest coefficient, below which no violation can be told
 _OFF = 0.01  # relative duality gap of what has not been solved
 _STEPS = 12  # of Newton's method
 _ROUNDING = 0.8  # of the tolerance, by which a ridge may move residuals
+_FAR = 1e4  # times the largest coefficient, beyond which no bound matters
 _SPARSE = 4  # where fewer than one coefficient in so many is not zero, the others are left out
 
 
@@ -44,24 +45,26 @@ def solve(
     """Feasible solutions of P problems, computed on the CPU, wherever their tensors are.
 
     They start from feasible coefficients, if given, and violate no condition of optimality by more
-    than the tolerance, as defined in libsvm. ModelError if a problem could not be solved.
+    than the tolerance, as defined in libsvm: in the unit of z or, where its coefficients cannot be
+    as large as 1, in units of the largest. ModelError if a problem could not be solved.
     """
     device, cpu = problems.z.device, torch.device("cpu")
     problems, left = problems.to(cpu), torch.arange(len(problems.z))
     found = at_zero(problems) if start is None else start.to(cpu).take(left)  # a copy
-    tolerance = max(tolerance, _LEAST * float(problems.cap.max()))
     for turn in range(_TURNS + 1):
         part = problems.take(left)
         here = _smo(gram, part, found.take(left), tolerance, turn)
-        rest = (here.violation > tolerance).nonzero().flatten()
+        allowed = _allowed(part, here, tolerance)
+        rest = (here.violation > allowed).nonzero().flatten()
         if turn < _TURNS and len(rest):
             here.product[rest] = here.beta[rest] @ gram.matrix
             for row in rest.tolist():
-                exact = polish(gram.matrix, part.take(row), here.take(row), tolerance)
+                one = part.take(row), here.take(row), float(allowed[row])
+                exact = polish(gram.matrix, *one)
                 if exact is not None:
                     here.put(row, exact)
         found.put(left, here)
-        left = left[here.violation > tolerance]
+        left = left[here.violation > allowed]
         if len(left) == 0:
             break
     _check(problems.take(left), found.take(left))
@@ -71,11 +74,17 @@ def solve(
 def _smo(gram: Gram, problems: Problems, start: State, tolerance: float, turn: int) -> State:
     """The problems after a run of minimal optimisation."""
     last, n = turn == _TURNS, len(gram)
-    aim = tolerance if last else max(tolerance, ROUGH * 0.1**turn)
+    aim = _allowed(problems, start, tolerance if last else max(tolerance, ROUGH * 0.1**turn))
     worth = _ENDLESS * n if last else (_WORTH[0] * n**3 + _WORTH[1]) * 2**turn
     matrix = gram.double if last or tolerance < ROUGH else gram.single
     found = compiled_smo_steps(matrix, problems, start, aim, worth, gram.threads)
     return found or smo_steps(gram.matrix, problems, start, aim, int(worth / n))
+
+
+def _allowed(problems: Problems, found: State, tolerance: float) -> Tensor:
+    """The violations (P,) that a tolerance allows, and none below what rounding causes."""
+    size = problems.reach.clamp_max(1)
+    return torch.maximum(tolerance * size, _LEAST * found.beta.abs().amax(1))
 
 
 def _check(problems: Problems, found: State) -> None:
@@ -100,7 +109,8 @@ def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) ->
     A solution violates no condition by more than the tolerance; None if the changes grow.
     """
     beta, bias, z = start.beta, start.bias, problem.z
-    h = _ROUNDING * tolerance / torch.maximum(problem.upper, -problem.lower).max()
+    largest = torch.minimum(problem.reach, _FAR * beta.abs().max())
+    h = _ROUNDING * tolerance / largest
     residual = z - start.product - bias
     status = beta.sign() * (1 + ((beta >= problem.upper) | (beta <= problem.lower)).to(beta))
     before = len(z)
