@@ -74,15 +74,14 @@ def as_weights(values: Any, rows: int) -> Tensor:
 
 
 def without_outliers(targets: Tensor) -> Tensor:
-    """Targets (k, n), those far from the median of their output moved nearer.
+    """Targets (k, n), with the median of their output in place of those far from it.
 
-    Far is a thousand times the median distance of those that differ from it.
+    Far is `FAR` times the median distance of those that differ from it.
     """
     middle = targets.median(1, keepdim=True).values
     distance = (targets - middle).abs()
     typical = distance.masked_fill(distance == 0, torch.nan).nanmedian(1, keepdim=True).values
-    far = FAR * typical.nan_to_num(0.0)
-    return torch.minimum(torch.maximum(targets, middle - far), middle + far)
+    return torch.where(distance > FAR * typical, middle, targets)
 
 
 def as_binary(values: Any, rows: int) -> tuple[Tensor, Tensor]:

@@ -268,7 +268,8 @@ class SVR(KernelMachine):
         given = inputs.as_targets(y, len(rows)).to(rows)
         y = given.reshape(len(given), -1).T.contiguous()
         most = inputs.without_outliers(y)
-        mean, spread = most.mean(1), most.std(1, correction=0)
+        top = most.abs().amax(1, keepdim=True).clamp_min(1e-300)  # whose square may be infinite
+        mean, spread = most.mean(1), (most / top).std(1, correction=0) * top[:, 0]
         unit = torch.exp2(spread.clamp_min(1e-300).log2().round())
         # Where all targets are equal, there is only rounding left.
         unit = torch.where(spread > 1e-12 * mean.abs(), unit, 1.0)

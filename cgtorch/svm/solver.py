@@ -1,7 +1,8 @@
 """Solving batches of the dual problems of C-SVC and epsilon-SVR (`cgtorch.svm.problems`).
 
 Longer and longer runs of sequential minimal optimisation alternate with exact steps (`polish`), as
-with large costs and many free coefficients it alone would take millions of steps.
+with large costs and many free coefficients it alone would take millions of steps. What both leave
+is approached by way of easier problems (`continued`), and at last by a bounded number of steps.
 """
 
 from dataclasses import replace
@@ -36,6 +37,8 @@ _OFF = 0.01  # relative duality gap of what has not been solved
 _STEPS = 12  # of Newton's method
 _ROUNDING = 0.8  # of the tolerance, by which a ridge may move residuals
 _FAR = 1e4  # times the largest coefficient, beyond which no bound matters
+_FALL, _FALLS = 10 / 3, 60  # of the tolerance in a continuation: the largest, and their number
+_GROWTHS = 3  # of the number of changes there
 _SPARSE = 4  # where fewer than one coefficient in so many is not zero, the others are left out
 
 
@@ -61,8 +64,11 @@ def solve(
             for row in rest.tolist():
                 one = part.take(row), here.take(row), float(allowed[row])
                 exact = polish(gram.matrix, *one)
-                if exact is not None:
+                if exact is None and turn == _TURNS - 1:
+                    exact = continued(gram.matrix, *one)
+                if exact is not None and bool(exact.violation < here.violation[row]):
                     here.put(row, exact)
+            allowed = _allowed(part, here, tolerance)
         found.put(left, here)
         left = left[here.violation > allowed]
         if len(left) == 0:
@@ -98,7 +104,9 @@ def _check(problems: Problems, found: State) -> None:
         )
 
 
-def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) -> State | None:
+def polish(
+    kernel: Tensor, problem: Problems, start: State, tolerance: float, growths: int = 0
+) -> State | None:
     """The exact solution of a single problem, without the axis of problems, or None.
 
     This is a primal-dual active set method (Hintermueller, Ito & Kunisch 2003), for a positive
@@ -106,15 +114,17 @@ def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) ->
     bound, 0 at zero, and -1 or 1 where free below or above zero. Free coefficients solve their
     equations with a small ridge h. It rounds the corners of the loss over a width h C (Chapelle
     2007), so that a residual r determines the coefficient soft(r, epsilon) / h, clipped to its box.
-    A solution violates no condition by more than the tolerance; None if the changes grow.
+    A solution violates no condition by more than the tolerance; None if the number of changes grows
+    more than `growths` times.
     """
     beta, bias, z = start.beta, start.bias, problem.z
-    largest = torch.minimum(problem.reach, _FAR * beta.abs().max())
-    h = _ROUNDING * tolerance / largest
+    most = beta.abs().max()
+    most = torch.minimum(problem.reach, _FAR * torch.where(most > 0, most, problem.reach))
+    h = _ROUNDING * tolerance / most
     residual = z - start.product - bias
     status = beta.sign() * (1 + ((beta >= problem.upper) | (beta <= problem.lower)).to(beta))
     before = len(z)
-    for _ in range(_STEPS):
+    for _ in range(_STEPS * (1 + growths)):
         status = _with_pivot(problem, h, residual, status)
         step = _step(kernel, problem, h, beta, residual, status)
         if step is None:
@@ -127,10 +137,34 @@ def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) ->
         wrong = violation(problem, fitting, residual)
         if flips == 0 and bool(wrong <= tolerance):
             return State(fitting, z - residual - bias, bias, wrong)
-        if flips > before:
+        growths -= flips > before
+        if growths < 0:
             return None
         status, before = new, flips
     return None
+
+
+def continued(kernel: Tensor, problem: Problems, start: State, tolerance: float) -> State | None:
+    """The result of `polish`, by continuation (Allgower & Georg 1990), or None.
+
+    A problem with a large tolerance has a large ridge and is easy. Its solution is the start for a
+    smaller one, and so on. Where that fails, the next step is shorter. If steps become too many,
+    the last solution is returned, whose violation is larger than the tolerance.
+    """
+    best, factor, aim = None, _FALL, float(problem.reach.clamp_max(1))
+    for _ in range(_FALLS):
+        found = polish(kernel, problem, best or start, aim, _GROWTHS)
+        if found is None and best is None:
+            aim *= _FALL
+            continue
+        if found is not None:
+            if aim <= tolerance:
+                return found
+            best, reached, factor = found, aim, min(_FALL, factor**2)
+        else:
+            factor = factor**0.5
+        aim = max(reached / factor, tolerance)
+    return best
 
 
 def _step(
