@@ -36,7 +36,6 @@ _LEAST = 1e-12  # of the largest coefficient, below which no violation can be to
 _OFF = 0.01  # relative duality gap of what has not been solved
 _STEPS = 12  # of Newton's method
 _ROUNDING = 0.8  # of the tolerance, by which a ridge may move residuals
-_FAR = 1e4  # times the largest coefficient, beyond which no bound matters
 _FALL, _FALLS = 10 / 3, 60  # of the tolerance in a continuation: the largest, and their number
 _GROWTHS = 3  # of the number of changes there
 _SPARSE = 4  # where fewer than one coefficient in so many is not zero, the others are left out
@@ -118,9 +117,7 @@ def polish(
     more than `growths` times.
     """
     beta, bias, z = start.beta, start.bias, problem.z
-    most = beta.abs().max()
-    most = torch.minimum(problem.reach, _FAR * torch.where(most > 0, most, problem.reach))
-    h = _ROUNDING * tolerance / most
+    h = _ROUNDING * tolerance / problem.reach
     residual = z - start.product - bias
     status = beta.sign() * (1 + ((beta >= problem.upper) | (beta <= problem.lower)).to(beta))
     before = len(z)

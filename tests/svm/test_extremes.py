@@ -9,10 +9,18 @@ import sklearn.svm
 import torch
 from dual_problems import dual_problems, ones, wrong
 
+from cgtorch import native
 from cgtorch.ground.errors import DataError
 from cgtorch.svm import SVC, SVR
-from cgtorch.svm.problems import State, dual_objective
+from cgtorch.svm.problems import (
+    State,
+    at_zero,
+    dual_objective,
+    middle_bias,
+    relative_gap,
+)
 from cgtorch.svm.rbf import Gram, predict_rbf
+from cgtorch.svm.smo import GAP, compiled_smo_steps, smo_steps
 from cgtorch.svm.solver import continued, polish
 
 RNG = np.random.default_rng(0)
@@ -170,15 +178,40 @@ def test_what_libsvm_does_not_end_is_solved_by_continuation(epsilon):
 
 
 def test_a_continuation_goes_where_exact_steps_do_not():
-    x, y = torch.tensor(X[:, :1]), torch.tensor(TARGET)
-    problems, kernel = dual_problems(y, 1e6, 0.0), Gram(x, 1.0).matrix
-    start = State(0.1 * (y - y.mean())[None], kernel[:1], 0 * ones(1), ones(1))
-    start = State(start.beta, start.beta @ kernel, start.bias, start.violation)
-    about = kernel, problems.take(0), start.take(0)
-    assert polish(*about, 1e-6) is None
-    found = continued(*about, 1e-6)
+    x, _, noise = np.random.default_rng(0).standard_normal((3, 150))
+    problems = dual_problems(torch.tensor(x + 0.3 * noise), 1e6)
+    kernel = Gram(torch.tensor(x[:, None]), 0.3).matrix
+    rough = smo_steps(kernel, problems, at_zero(problems), 1e-2 * ones(1), 300)
+    about = kernel, problems.take(0), rough.take(0), 1e-6
+    assert polish(*about) is None
+    found = continued(*about)
     assert float(found.violation) <= 1e-6
-    assert float(wrong(problems, found.beta[None], kernel)) <= 4e-6
+    assert float(wrong(problems, found.beta[None], kernel)) <= 1e-5
+
+
+def test_an_outlier_hides_no_gap():
+    """Its share of the objective, which nothing can change, would hide that of all others."""
+    z = torch.tensor([1e9, 0.5, -0.5, 0.0], dtype=torch.float64)
+    problems, kernel = dual_problems(z, 1.0, 0.0), torch.eye(4, dtype=torch.float64)
+    beta = torch.tensor([[1.0, -0.3, -0.4, -0.3]], dtype=torch.float64)
+    poor = State(beta, beta @ kernel, 0 * ones(1), ones(1))
+    assert float(relative_gap(problems, poor)) > 0.01
+
+
+@pytest.mark.skipif(not native.available(), reason="there is no C compiler")
+def test_compiled_steps_see_the_gap_beside_an_outlier():
+    z = torch.tensor(np.where(np.arange(60) == 3, 1e9, TARGET))
+    problems, gram = dual_problems(z, 1.0, 0.0), Gram(torch.tensor(X), 0.4)
+    found = compiled_smo_steps(gram.double, problems, at_zero(problems), 2 * ones(1), 1e9, 1)
+    assert float(relative_gap(problems, found)) <= GAP
+
+
+def test_a_bound_far_beyond_all_coefficients_leaves_the_bias_that_free_ones_determine():
+    z = torch.tensor([3.0, -3.0, 0.0], dtype=torch.float64)
+    problems = dual_problems(z, 1e15, 0.5)
+    beta = torch.tensor([[2.0, -2.0, 0.0]], dtype=torch.float64)
+    found = State(beta, 0.5 * beta, 0.125 * ones(1), ones(1))
+    assert float(middle_bias(problems, found)) == 0.125
 
 
 def weighted(name: str) -> np.ndarray:
