@@ -69,6 +69,15 @@ class RewardedPath(Path):
         return lanes.state[:, GAINED]
 
 
+class TinyPath(RewardedPath):
+    """A path with rewards in a tiny unit."""
+
+    unit = 2.0**-40
+
+    def returns(self, lanes: Lanes) -> Tensor:
+        return self.unit * super().returns(lanes)
+
+
 class CountedPath(RewardedPath):
     """A path that counts the lanes that begin."""
 

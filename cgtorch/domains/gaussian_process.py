@@ -161,7 +161,7 @@ class GaussianProcess:
         self.control_size = u.shape[1]
         raw = torch.cat([p, u], 1)
         self.mean, self.scale = mean_and_spread(raw)
-        self.shift, self.spread = mean_and_spread(q - p)
+        self.shift, self.spread = mean_and_spread(q - p, p)
         x, y = (raw - self.mean) / self.scale, (q - p - self.shift) / self.spread
         generator = torch.Generator().manual_seed(len(x))
         some = torch.randperm(len(x), generator=generator)[:MOST_ROWS]

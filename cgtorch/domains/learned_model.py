@@ -17,6 +17,9 @@ from cgtorch.svm import SVC, SVR
 from cgtorch.svm.machine import FittedModule
 from cgtorch.svm.reduced_set import shrink_to_coreset
 
+EVEN = 1e-9  # the largest spread of numbers that do not vary, as a share of the largest
+ROUNDING = 1e-15  # of numbers near 1, from which features are made, and of larger ones as a share
+
 
 class LearnedModel(FittedModule, ABC):
     """A `machine` on standardised features, whose `mean` and `scale` (F,) are buffers.
@@ -96,8 +99,12 @@ class LearnedModel(FittedModule, ABC):
         return telling[shrink_to_coreset(smaller.machine, features[telling], limit)], smaller
 
 
-def mean_and_spread(values: Tensor) -> tuple[Tensor, Tensor]:
-    """Means and standard deviations (k,) of values (n, k); 1 in place of a deviation of 0."""
-    spread = values.std(0, correction=0)
-    differ = spread > 1e-9 * (1 + values.abs().amax(0))
+def mean_and_spread(values: Tensor, of: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Means and standard deviations (k,) of values (n, k); 1 in place of one that is rounding.
+
+    Values may be differences `of` numbers (n, k), whose rounding errors they have.
+    """
+    spread, largest = values.std(0, correction=0), values.abs().amax(0)
+    numbers = largest if of is None else of.abs().amax(0)
+    differ = spread > EVEN * largest + ROUNDING * (1 + numbers)
     return values.mean(0), torch.where(differ, spread, 1.0)

@@ -39,7 +39,7 @@ class Limits:
         percept = percept.clamp(self.low.to(percept), self.high.to(percept))
         for i, j, radius in self.circles:
             pair = percept[:, [i, j]]
-            length = pair.norm(dim=1, keepdim=True).clamp_min(1e-6)
+            length = pair.norm(dim=1, keepdim=True).clamp_min(1e-6 * radius)
             percept[:, [i, j]] = radius * pair / length
         return percept
 

@@ -224,7 +224,7 @@ class KernelTransitionModel(TransitionModel):
     ) -> None:
         """See `TransitionModel.standardise`."""
         self.mean, self.scale = mean_and_spread(self.raw_features(percept, control))
-        self.shift, self.spread = mean_and_spread(self.difference(percept, next_percept))
+        self.shift, self.spread = mean_and_spread(self.difference(percept, next_percept), percept)
         self.most = self.extremes(percept, control).amax(0).clamp_min(1e-3)
 
     def settle(self, rows: Sequence[Tensor], held: HeldOut) -> tuple[Tensor, Tensor]:

@@ -51,8 +51,13 @@ class Found:
     seconds: float = 0.0
     asked: Asked = NOTHING
 
-    def after(self, generation: Generation, seconds: float, asked: Asked = NOTHING) -> "Found":
-        """The result after one more generation, which took `seconds` and the steps `asked`."""
+    def after(
+        self, generation: Generation, seconds: float, least: float, asked: Asked = NOTHING
+    ) -> "Found":
+        """The result after one more generation, which took `seconds` and the steps `asked`.
+
+        A fitness is better only if it is larger by more than `least`.
+        """
         counted = replace(
             self,
             since=self.since + 1,
@@ -62,7 +67,7 @@ class Found:
             asked=self.asked + asked,
         )
         fitness = generation.best
-        if fitness <= self.best + 1e-3:
+        if fitness <= self.best + least:
             return counted
         champion, solved = slim(generation.champion), generation.succeeded  # on any rank the same
         return replace(counted, champion=champion, solved=solved, best=fitness, since=0)

@@ -22,6 +22,8 @@ from cgtorch.native import function, structure, threads
 from cgtorch.native.library import VECTOR
 
 RESTARTS, EPOCHS, RATE, BLUR = 8, 1000, 0.1, 0.01
+LITTLE = 0.1
+"""The standard deviation of an input that varies, where the largest is no smaller."""
 COPIES, MARGIN = 20, 0.04
 """The noisy copies of each percept on which restarts are compared, and the standard deviation of
 the noise, in units of that of the percepts."""
@@ -48,11 +50,22 @@ def train_gating(
     if solves.shape[1] == 1:
         return percepts.new_zeros(0, branch.num_parameters)
     x = branch.sees(percepts)
-    centre, scale = x.mean(0), x.std(0).clamp_min(0.1)
+    centre, scale, blur = x.mean(0), *_scale_and_blur(x)
     weight = weight * (solves.amax(1) > 0)
-    tries = _descend(branch, (x - centre) / scale, solves, weight, BLUR / scale, generator)
+    tries = _descend(branch, (x - centre) / scale, solves, weight, blur / scale, generator)
     ends = [_unscaled(branch, parameters, centre, scale) for parameters in tries]
     return ends[_most_reliable(branch, ends, percepts, solves, weight, generator)]
+
+
+def _scale_and_blur(x: Tensor) -> tuple[Tensor, float]:
+    """The units (K,) of inputs (B, K), and the noise on them that training adds.
+
+    Inputs that vary little are no more than noise, as long as others vary by `LITTLE` or more. Else
+    the unit of all is small, and the noise with it.
+    """
+    spread = x.std(0)
+    share = min(1.0, float(spread.max()) / LITTLE) or 1.0
+    return spread.clamp_min(LITTLE * share), BLUR * share
 
 
 def _most_reliable(

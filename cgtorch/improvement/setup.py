@@ -48,6 +48,7 @@ class Budget:
         satisfied: The fitness from which it stops after `patience` generations without a better
             one, even if not all is solved; other members solve the rest.
         transitions: Number of executed actions after which no generation begins.
+        least: The smallest difference of a fitness that counts, in its unit.
     """
 
     generations: int = 150
@@ -56,6 +57,7 @@ class Budget:
     enough: float = 0.97
     satisfied: float = float("inf")
     transitions: float = float("inf")
+    least: float = 1e-3
 
     def ends(self, found: Found) -> bool:
         """Whether an evolution with this result so far is finished."""

@@ -39,7 +39,6 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.setup import Models, Setup
 
 READABLE = 10  # nodes that a picture shows at a glance
-SLACK = 1e-3  # of the fitness that a smaller graph may cost
 
 
 def specialist(
@@ -69,7 +68,7 @@ def specialist(
             break
         size, seeds = min(2 * size, len(percepts)), found.champion
         step = f"{name} on {size}"
-    how = setup.max_transitions, setup.evolution.fitness, setup.device
+    how = setup.max_transitions, setup.budget.least, setup.evolution.fitness, setup.device
     before = asked_of(environment)
     small = shrunk(found.champion, setup.actions, environment, *how)
     _counted(setup, replace(found, asked=_of_all_ranks(asked_of(environment) - before)))
@@ -156,7 +155,8 @@ def evolve_candidate(
         setup.watch(GenerationDone(setup.name, name, *counts, *done))
         now = asked_of(environment)
         asked = _of_all_ranks(now - before)
-        found, began = found.after(generation, seconds, asked), began + seconds
+        found = found.after(generation, seconds, setup.budget.least, asked)
+        began += seconds
         before = now
         if setup.budget.ends(found) or setup.purse.late():
             break
@@ -186,6 +186,7 @@ def shrunk(
     actions: ActionSet,
     environment: Environment,
     max_transitions: int,
+    slack: float,
     fitness: Fitness = chance_of_success,
     device: torch.device | str = "cpu",
 ) -> Population:
@@ -193,8 +194,8 @@ def shrunk(
 
     For every pair of nodes, all edges into one are led to the other in the models, all pairs at
     once. Among those that still solve all scenarios, the one with the fewest nodes is taken, and so
-    on. The champion is a population of one. The environment, on `device`, contains its scenarios.
-    For the rest see `cgtorch.evolution.evaluator`.
+    on. Its fitness may be less by the slack. The champion is a population of one. The environment,
+    on `device`, contains its scenarios. For the rest see `cgtorch.evolution.evaluator`.
     """
     if int(champion.graphs.num_nodes) <= READABLE:
         return champion
@@ -209,7 +210,7 @@ def shrunk(
     while int(champion.graphs.num_nodes) > READABLE:
         smaller = _without_each(champion.graphs)
         fitnesses, succeeded = tried(smaller)
-        well = (fitnesses >= before - SLACK) & (succeeded | ~solved).all(1)
+        well = (fitnesses >= before - slack) & (succeeded | ~solved).all(1)
         if not well.any():
             break
         nodes = smaller.num_nodes.masked_fill(~well, champion.graphs.capacity + 1)

@@ -86,12 +86,18 @@ def message_of(event: events.Event) -> str:
 
 
 def mean_text(mean: float | None, error: float | None) -> str:
-    """A mean with two standard errors, such as "2.86 ± 0.02", up to their first digit."""
+    """A mean with two standard errors, such as "2.86 ± 0.02", up to their first digit.
+
+    In a very small or large unit it is such as "2.86e-12 ± 2e-14".
+    """
     if mean is None:
         return MISSING
-    if error is None:
-        return f"{mean:.5g}"
-    digits = min(6, max(0, -floor(log10(2 * error)))) if error > 0 else 4
+    if not error:
+        return f"{mean:.5g}" + (" ± 0" if error == 0 else "")
+    digits = -floor(log10(2 * error))
+    if mean and abs(digits) > 6:
+        return f"{mean:.{max(0, digits + floor(log10(abs(mean))))}e} ± {2 * error:.0e}"
+    digits = min(6, max(0, digits))
     return f"{mean:.{digits}f} ± {2 * error:.{digits}f}"
 
 

@@ -13,6 +13,9 @@ from cgtorch.ground.errors import DataError, SettingsError
 MAX_MEMORY = 4 * 1024**3
 """The number of bytes that a fit may use for kernel matrices."""
 
+FAR = 1e3
+"""Median distances from the median, beyond which a target is an outlier."""
+
 
 def as_tensor(values: Any, name: str) -> Tensor:
     """`values` (torch, numpy or nested lists) as a finite float64 tensor on its device."""
@@ -51,6 +54,34 @@ def as_targets(values: Any, rows: int) -> Tensor:
     if targets.ndim not in (1, 2) or len(targets) != rows or 0 in targets.shape:
         raise DataError(f"y has shape {tuple(targets.shape)}; pass one target per row, {rows} rows")
     return targets
+
+
+def as_weights(values: Any, rows: int) -> Tensor:
+    """`values` as float64 weights of rows (n,), at least 0 and not all 0; ones for None."""
+    if values is None:
+        return torch.ones(rows, dtype=torch.float64)
+    weights = as_tensor(values, "sample_weight")
+    if weights.shape != (rows,):
+        raise DataError(
+            f"sample_weight has shape {tuple(weights.shape)}; pass one weight per row, ({rows},)"
+        )
+    if bool((weights < 0).any()) or not bool(weights.any()):
+        raise DataError(
+            f"sample_weight reaches from {float(weights.min()):g} to {float(weights.max()):g}; "
+            "no weight may be negative, and at least one must be positive"
+        )
+    return weights
+
+
+def without_outliers(targets: Tensor) -> Tensor:
+    """Targets (k, n), with the median of their output in place of those far from it.
+
+    Far is `FAR` times the median distance of those that differ from it.
+    """
+    middle = targets.median(1, keepdim=True).values
+    distance = (targets - middle).abs()
+    typical = distance.masked_fill(distance == 0, torch.nan).nanmedian(1, keepdim=True).values
+    return torch.where(distance > FAR * typical, middle, targets)
 
 
 def as_binary(values: Any, rows: int) -> tuple[Tensor, Tensor]:

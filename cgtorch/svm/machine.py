@@ -83,17 +83,18 @@ class KernelMachine(FittedModule, ABC):
         """Whether the machine can predict."""
         return len(self.centres) > 0
 
-    def fit(self, x: Any, y: Any, *, warm: bool = False) -> Self:
+    def fit(self, x: Any, y: Any, *, sample_weight: Any = None, warm: bool = False) -> Self:
         """Solve the dual problems on rows x (n, d) with labels y (n,), or targets (n,) or (n, k).
 
-        With `warm`, the solver starts from the last fit, whose rows have to come first in x.
+        A row of weight w (n,), at least 0, has the cost w C, as in libsvm; all weights are 1 if
+        None. With `warm`, the solver starts from the last fit, whose rows have to come first in x.
         DataError for wrong shapes, NaN, not two classes, or more rows than there is memory for, and
         SettingsError for a parameter that cannot be used.
         """
         rows = inputs.training_rows(x)
         targets = self.targets(y, rows)
-        everything = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
-        problems = self.problems(targets, everything)
+        weight = inputs.as_weights(sample_weight, len(rows)).to(rows.device)
+        problems = self.problems(targets, weight[None])
         gram, unit = Gram(rows, self.gamma), targets.unit
         found = solve(gram, problems, self._start(gram, problems, unit) if warm else None)
         used = (found.beta != 0).any(0)
@@ -108,26 +109,32 @@ class KernelMachine(FittedModule, ABC):
             setattr(self, name, value.to(rows.device))
         return self
 
-    def learn_on(self, x: Any, y: Any) -> Self:
+    def learn_on(self, x: Any, y: Any, *, sample_weight: Any = None) -> Self:
         """A warm `fit` with the C, epsilon and gamma of the last fit."""
         self.C, self.gamma = self.cost.tolist(), float(self.gamma_value)
-        return self.fit(x, y, warm=True)
+        return self.fit(x, y, sample_weight=sample_weight, warm=True)
 
     def problems(
-        self, targets: Targets, masks: Tensor, C: Any = None, epsilon: Any = None
+        self, targets: Targets, weights: Tensor, C: Any = None, epsilon: Any = None
     ) -> Problems:
-        """Problems (k P) for each output and mask (P, n), by default with the machine's own C."""
+        """Problems (k P) for each output and weights (P, n) of rows, or masks of those in use.
+
+        By default they have the machine's own C and epsilon.
+        """
         outputs, unit = len(targets.z), targets.unit
         C, epsilon = self.C if C is None else C, self.epsilon if epsilon is None else epsilon
         cap = inputs.per_output(C, "C", outputs).to(unit) / unit
         tube = inputs.per_output(epsilon, "epsilon", outputs, or_zero=True).to(unit) / unit
-        cap, tube, z = (x.repeat_interleave(len(masks), 0) for x in (cap, tube, targets.z))
-        width = cap[:, None] * masks.repeat(outputs, 1)
+        cap, tube, z = (x.repeat_interleave(len(weights), 0) for x in (cap, tube, targets.z))
+        width = cap[:, None] * weights.repeat(outputs, 1)
         if targets.classes is None:
             return Problems(z, -width, width, tube, cap)
         down, up = width * (z < 0), width * (z > 0)
         if bool((torch.minimum(down.amax(1), up.amax(1)) == 0).any()):
-            raise DataError("a training fold holds one class only; use fewer or stratified folds")
+            raise DataError(
+                "the rows of a fit or training fold whose weight is not 0 hold one class only; use "
+                "other weights, or fewer or stratified folds"
+            )
         return Problems(z, -down, up, tube, cap)
 
     def values(self, x: Tensor) -> Tensor:
@@ -260,7 +267,9 @@ class SVR(KernelMachine):
         """See `KernelMachine.targets`: numbers (n,) or (n, k)."""
         given = inputs.as_targets(y, len(rows)).to(rows)
         y = given.reshape(len(given), -1).T.contiguous()
-        mean, spread = y.mean(1), y.std(1, correction=0)
+        most = inputs.without_outliers(y)
+        top = most.abs().amax(1, keepdim=True).clamp_min(1e-300)  # whose square may be infinite
+        mean, spread = most.mean(1), (most / top).std(1, correction=0) * top[:, 0]
         unit = torch.exp2(spread.clamp_min(1e-300).log2().round())
         # Where all targets are equal, there is only rounding left.
         unit = torch.where(spread > 1e-12 * mean.abs(), unit, 1.0)
@@ -271,10 +280,10 @@ class SVR(KernelMachine):
         tube = inputs.per_output(self.epsilon, "epsilon", len(targets.y), or_zero=True)
         return {"tube": tube, "squeeze": torch.tensor(targets.single)}
 
-    def learn_on(self, x: Any, y: Any) -> Self:
+    def learn_on(self, x: Any, y: Any, *, sample_weight: Any = None) -> Self:
         """See `KernelMachine.learn_on`."""
         self.epsilon = self.tube.tolist()
-        return super().learn_on(x, y)
+        return super().learn_on(x, y, sample_weight=sample_weight)
 
     def forward(self, x: Tensor) -> Tensor:
         """Predictions (..., k), or (...) if fitted on targets (n,), differentiable in x.

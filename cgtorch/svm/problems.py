@@ -71,6 +71,11 @@ class Problems(Batch):
     epsilon: Tensor
     cap: Tensor
 
+    @property
+    def reach(self) -> Tensor:
+        """The largest coefficient (P,) that the boxes of a problem allow."""
+        return torch.maximum(self.upper, -self.lower).amax(-1)
+
 
 @dataclass(frozen=True)
 class State(Batch):
@@ -139,14 +144,19 @@ def dual_objective(problems: Problems, found: State) -> Tensor:
 
 
 def relative_gap(problems: Problems, found: State) -> Tensor:
-    """Duality gaps (P,) as shares of the objectives."""
-    objective = dual_objective(problems, found).abs().clamp_min(1e-12)
-    return duality_gap(problems, found) / objective
+    """Duality gaps (P,) as shares of the objectives, of which outliers count like other rows.
+
+    As z has the unit 1, an objective is at most the sum of the boxes' widths, but for outliers.
+    """
+    most = (problems.upper - problems.lower).sum(1)
+    objective = dual_objective(problems, found).abs()
+    return duality_gap(problems, found) / objective.clamp(1e-12 * most, most)
 
 
 def middle_bias(problems: Problems, found: State) -> Tensor:
     """Biases (P,), in the middle of the optimal ones if not unique (Chang & Lin 2011, 4.1.5)."""
-    beta, box = found.beta, torch.maximum(problems.upper, -problems.lower) * 1e-9
+    beta, bound = found.beta, torch.maximum(problems.upper, -problems.lower)
+    box = torch.minimum(bound, found.beta.abs().amax(1, keepdim=True)) * 1e-9
     free = (beta < problems.upper - box) & (beta > problems.lower + box) & (beta.abs() > box)
     width = problems.epsilon[:, None]
     gradient = problems.z - found.product

@@ -31,10 +31,29 @@ _CHUNKS = 4  # in a block, which is what the small operations before and after w
 
 def rbf(x: Tensor, s: Tensor, gamma: float) -> Tensor:
     """Kernel values (m, n) between rows x (m, d) and s (n, d)."""
+    if _far(s, gamma):
+        return _squares(x, s).mul_(-gamma).exp_()
     mean = s.mean(0)  # an offset of the features would cost digits
     x, s = x - mean, s - mean
     inner = torch.addmm((s * s).sum(1), x, s.T, alpha=-2.0)
     return inner.add_((x * x).sum(1)[:, None]).clamp_min_(0).mul_(-gamma).exp_()
+
+
+def _far(s: Tensor, gamma: float | Tensor) -> bool:
+    """Whether one of the centres s (m, d) is too far for distances as sums of products.
+
+    Their rounding errors are those of the largest square. It may take half of the digits. On a GPU,
+    where nothing waits for a number, and in exports all centres are taken to be near.
+    """
+    if not s.is_cpu or torch.compiler.is_compiling():
+        return False
+    largest = (s - s.mean(0)).square().sum(1).max()
+    return bool(gamma * largest > torch.finfo(s.dtype).eps ** -0.5)
+
+
+def _squares(x: Tensor, s: Tensor) -> Tensor:
+    """Squared distances (m, n) between rows x (m, d) and s (n, d), from each difference."""
+    return torch.cdist(x, s, compute_mode="donot_use_mm_for_euclid_dist").square()
 
 
 def _resolved(gamma: str | float, x: Tensor) -> float:
@@ -174,6 +193,8 @@ def chunk_rows(centres: int, item: int) -> int:
 
 def _exponents(x: Tensor, centres: Tensor, gamma: Tensor) -> Tensor:
     """Base-2 exponents (n, m) of the kernel, differentiable."""
+    if _far(centres.detach(), gamma):
+        return _squares(x, centres) * (-LOG2E * gamma)
     mean = centres.detach().mean(0)
     rows, others = x - mean, centres - mean
     inner = torch.addmm((others * others).sum(1), rows, others.T, alpha=-2)
@@ -202,6 +223,7 @@ def _filler(
     matrix[:m, d + 1] = -0.5 * (others * others).sum(1)
     matrix.mul_(gamma * (2 * LOG2E))
     outputs = pad(weights.T, (0, missing, 0, max(0, _OUTPUTS - k)))
+    far = pad(centres, (0, 0, 0, missing)) if _far(centres, gamma) else None
 
     @torch.inference_mode()
     def fill(x: Tensor, values: Tensor, nearest: Tensor) -> None:
@@ -217,7 +239,11 @@ def _filler(
         for begin in range(0, n, chunk):
             last, end = min(begin + chunk, n), min(begin + chunk, whole)
             part = kernel if end - begin == chunk else matrix.new_empty(len(matrix), end - begin)
-            torch.mm(matrix, rows[:, begin:end], out=part)
+            if far is None:
+                torch.mm(matrix, rows[:, begin:end], out=part)
+            else:
+                exponents = _squares(far, x[begin:last]).mul_(-LOG2E * gamma)
+                part.copy_(pad(exponents, (0, end - last)))
             if len(nearest):
                 torch.amax(part[:m, : last - begin], 0, out=nearest[begin:last])
             part.exp2_()

@@ -23,12 +23,13 @@ Array = NDArray[np.float64]
 
 
 def compiled_smo_steps(
-    matrix: Tensor, problems: Problems, start: State, tolerance: float, worth: float, threads: int
+    matrix: Tensor, problems: Problems, start: State, tolerance: Tensor, worth: float, threads: int
 ) -> State | None:
     """Continue P problems until they are solved or have cost too much; None without a compiler.
 
     The matrix is one of `cgtorch.svm.rbf.Gram`, whose type is that of the steps. A problem ends
-    after `worth` kernel values; a thousand million take about a quarter of a second.
+    with a violation below its tolerance, of (P,), or after `worth` kernel values; a thousand
+    million take about a quarter of a second.
     """
     call = function("smo_problems", matrix.dtype)
     if call is None:
@@ -48,18 +49,19 @@ def compiled_smo_steps(
 
 
 def smo_steps(
-    kernel: Tensor, problems: Problems, start: State, tolerance: float, most: int
+    kernel: Tensor, problems: Problems, start: State, tolerance: Tensor, most: int
 ) -> State:
     """Continue P problems from feasible coefficients until they are solved, or after `most` steps.
 
     The kernel (n, n) must be positive semidefinite. A problem is solved when its violation, as in
-    libsvm, is below the tolerance.
+    libsvm, is below its tolerance, of (P,).
     """
     matrix: Array = kernel.numpy()
     found = start.take(torch.arange(len(start.bias)))
     for number in range(len(start.bias)):
         one = torch.tensor([number])
-        beta, aim, solved = found.beta[number].numpy(), tolerance, False
+        beta, aim, solved = found.beta[number].numpy(), float(tolerance[number]), False
+        finest = _FINEST * aim
         z = problems.z[number].numpy()
         gradient = found.product[number].numpy() - z
         while not solved:
@@ -67,7 +69,7 @@ def smo_steps(
             found.product[number] = torch.from_numpy(gradient + z)
             found.bias[number], found.violation[number] = end
             gap = float(relative_gap(problems.take(one), found.take(one)))
-            solved = end[1] >= aim or gap <= GAP or aim < _FINEST * tolerance
+            solved = end[1] >= aim or gap <= GAP or aim < finest
             aim *= _FINER
     return found
 

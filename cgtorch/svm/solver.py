@@ -1,7 +1,8 @@
 """Solving batches of the dual problems of C-SVC and epsilon-SVR (`cgtorch.svm.problems`).
 
 Longer and longer runs of sequential minimal optimisation alternate with exact steps (`polish`), as
-with large costs and many free coefficients it alone would take millions of steps.
+with large costs and many free coefficients it alone would take millions of steps. What both leave
+is approached by way of easier problems (`continued`), and at last by a bounded number of steps.
 """
 
 from dataclasses import replace
@@ -31,10 +32,12 @@ _WORTH = 1 / 80, 5e6
 """Kernel values of the first run: a share of n^3, as the cost of a factor, and a constant."""
 _TURNS = 4  # each twice as long as the one before, to a tenth of its violation
 _ENDLESS = 2e7  # steps of the last one
-_LEAST = 1e-12  # of C, below which no violation can be told
+_LEAST = 1e-12  # of the largest coefficient, below which no violation can be told
 _OFF = 0.01  # relative duality gap of what has not been solved
 _STEPS = 12  # of Newton's method
 _ROUNDING = 0.8  # of the tolerance, by which a ridge may move residuals
+_FALL, _FALLS = 10 / 3, 60  # of the tolerance in a continuation: the largest, and their number
+_GROWTHS = 3  # of the number of changes there
 _SPARSE = 4  # where fewer than one coefficient in so many is not zero, the others are left out
 
 
@@ -44,24 +47,29 @@ def solve(
     """Feasible solutions of P problems, computed on the CPU, wherever their tensors are.
 
     They start from feasible coefficients, if given, and violate no condition of optimality by more
-    than the tolerance, as defined in libsvm. ModelError if a problem could not be solved.
+    than the tolerance, as defined in libsvm: in the unit of z or, where its coefficients cannot be
+    as large as 1, in units of the largest. ModelError if a problem could not be solved.
     """
     device, cpu = problems.z.device, torch.device("cpu")
     problems, left = problems.to(cpu), torch.arange(len(problems.z))
     found = at_zero(problems) if start is None else start.to(cpu).take(left)  # a copy
-    tolerance = max(tolerance, _LEAST * float(problems.cap.max()))
     for turn in range(_TURNS + 1):
         part = problems.take(left)
         here = _smo(gram, part, found.take(left), tolerance, turn)
-        rest = (here.violation > tolerance).nonzero().flatten()
+        allowed = _allowed(part, here, tolerance)
+        rest = (here.violation > allowed).nonzero().flatten()
         if turn < _TURNS and len(rest):
             here.product[rest] = here.beta[rest] @ gram.matrix
             for row in rest.tolist():
-                exact = polish(gram.matrix, part.take(row), here.take(row), tolerance)
-                if exact is not None:
+                one = part.take(row), here.take(row), float(allowed[row])
+                exact = polish(gram.matrix, *one)
+                if exact is None and turn == _TURNS - 1:
+                    exact = continued(gram.matrix, *one)
+                if exact is not None and bool(exact.violation < here.violation[row]):
                     here.put(row, exact)
+            allowed = _allowed(part, here, tolerance)
         found.put(left, here)
-        left = left[here.violation > tolerance]
+        left = left[here.violation > allowed]
         if len(left) == 0:
             break
     _check(problems.take(left), found.take(left))
@@ -71,11 +79,17 @@ def solve(
 def _smo(gram: Gram, problems: Problems, start: State, tolerance: float, turn: int) -> State:
     """The problems after a run of minimal optimisation."""
     last, n = turn == _TURNS, len(gram)
-    aim = tolerance if last else max(tolerance, ROUGH * 0.1**turn)
+    aim = _allowed(problems, start, tolerance if last else max(tolerance, ROUGH * 0.1**turn))
     worth = _ENDLESS * n if last else (_WORTH[0] * n**3 + _WORTH[1]) * 2**turn
     matrix = gram.double if last or tolerance < ROUGH else gram.single
     found = compiled_smo_steps(matrix, problems, start, aim, worth, gram.threads)
     return found or smo_steps(gram.matrix, problems, start, aim, int(worth / n))
+
+
+def _allowed(problems: Problems, found: State, tolerance: float) -> Tensor:
+    """The violations (P,) that a tolerance allows, and none below what rounding causes."""
+    size = problems.reach.clamp_max(1)
+    return torch.maximum(tolerance * size, _LEAST * found.beta.abs().amax(1))
 
 
 def _check(problems: Problems, found: State) -> None:
@@ -89,7 +103,9 @@ def _check(problems: Problems, found: State) -> None:
         )
 
 
-def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) -> State | None:
+def polish(
+    kernel: Tensor, problem: Problems, start: State, tolerance: float, growths: int = 0
+) -> State | None:
     """The exact solution of a single problem, without the axis of problems, or None.
 
     This is a primal-dual active set method (Hintermueller, Ito & Kunisch 2003), for a positive
@@ -97,14 +113,15 @@ def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) ->
     bound, 0 at zero, and -1 or 1 where free below or above zero. Free coefficients solve their
     equations with a small ridge h. It rounds the corners of the loss over a width h C (Chapelle
     2007), so that a residual r determines the coefficient soft(r, epsilon) / h, clipped to its box.
-    A solution violates no condition by more than the tolerance; None if the changes grow.
+    A solution violates no condition by more than the tolerance; None if the number of changes grows
+    more than `growths` times.
     """
     beta, bias, z = start.beta, start.bias, problem.z
-    h = _ROUNDING * tolerance / torch.maximum(problem.upper, -problem.lower).max()
+    h = _ROUNDING * tolerance / problem.reach
     residual = z - start.product - bias
     status = beta.sign() * (1 + ((beta >= problem.upper) | (beta <= problem.lower)).to(beta))
     before = len(z)
-    for _ in range(_STEPS):
+    for _ in range(_STEPS * (1 + growths)):
         status = _with_pivot(problem, h, residual, status)
         step = _step(kernel, problem, h, beta, residual, status)
         if step is None:
@@ -117,10 +134,34 @@ def polish(kernel: Tensor, problem: Problems, start: State, tolerance: float) ->
         wrong = violation(problem, fitting, residual)
         if flips == 0 and bool(wrong <= tolerance):
             return State(fitting, z - residual - bias, bias, wrong)
-        if flips > before:
+        growths -= flips > before
+        if growths < 0:
             return None
         status, before = new, flips
     return None
+
+
+def continued(kernel: Tensor, problem: Problems, start: State, tolerance: float) -> State | None:
+    """The result of `polish`, by continuation (Allgower & Georg 1990), or None.
+
+    A problem with a large tolerance has a large ridge and is easy. Its solution is the start for a
+    smaller one, and so on. Where that fails, the next step is shorter. If steps become too many,
+    the last solution is returned, whose violation is larger than the tolerance.
+    """
+    best, factor, aim = None, _FALL, float(problem.reach.clamp_max(1))
+    for _ in range(_FALLS):
+        found = polish(kernel, problem, best or start, aim, _GROWTHS)
+        if found is None and best is None:
+            aim *= _FALL
+            continue
+        if found is not None:
+            if aim <= tolerance:
+                return found
+            best, reached, factor = found, aim, min(_FALL, factor**2)
+        else:
+            factor = factor**0.5
+        aim = max(reached / factor, tolerance)
+    return best
 
 
 def _step(

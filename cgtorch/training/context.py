@@ -120,8 +120,9 @@ class Training:
             budget = replace(budget, enough=0.0)
         if rewarded(domain):
             # Returns have no maximum, so the search continues for a number of generations.
-            aim = domain.target_return
-            budget = replace(budget, enough=float("inf"), satisfied=aim, patience=5)
+            aim, endless = domain.target_return, float("inf")
+            least = budget.least * abs(aim)
+            budget = replace(budget, enough=endless, satisfied=aim, patience=5, least=least)
         return Setup(
             actions=run.actions,
             world_of=domain.world,

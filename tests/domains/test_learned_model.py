@@ -9,11 +9,13 @@ from rail import Cart, SeeingCart, driven
 from support import models_of
 from torch import Tensor
 
+from cgtorch.domains.learned_model import mean_and_spread
 from cgtorch.domains.success import SuccessClassifier, fit_success_classifier
-from cgtorch.domains.transition import Grid, TransitionModel
+from cgtorch.domains.transition import Grid, KernelTransitionModel, TransitionModel
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError
+from cgtorch.ground.fields import named
 from cgtorch.svm import fit_reduced_set
 
 GRID: dict[str, Any] = {"C": [10.0], "gamma": [1.0]}
@@ -146,3 +148,34 @@ def test_rows_that_are_no_support_vectors_change_nothing() -> None:
     out = torch.ones(300, dtype=torch.bool).index_fill(0, kept, False)
     left = Dataset(*(a[out] for a in MOVES), *TESTS)
     assert error(after, left) < error(gamma, left) + 0.01
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e9])
+def test_gamma_learns_the_same_in_any_unit(unit: float) -> None:
+    """A number that only changes by rounding stays as it was."""
+    x = torch.randn(150, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    x[:, 2] = 0.3
+    push = torch.randn(150, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    after = x + 0.2 * torch.cat([x[:, 1:2].sin(), push, 0 * push], 1)
+    after[:, 2] = (after[:, 2] / 3) * 3 + 1e-17
+    fields = named("place", "speed", "height"), named("push")
+
+    def predicted(unit: float) -> Tensor:
+        model = KernelTransitionModel(*fields)
+        about = unit * x, push, unit * after
+        grid = Grid([10.0], [0.3], [0.02], 600)
+        model = fit_transition_model(model, *about, grid=grid, dtype=torch.float64)[0]
+        return model(unit * x[:50], push[:50]) / unit
+
+    plain = predicted(1.0)
+    assert float((plain - after[:50])[:, :2].abs().max()) < 0.2
+    torch.testing.assert_close(predicted(unit), plain, atol=1e-4, rtol=0)
+
+
+def test_rounding_is_no_change() -> None:
+    near = torch.tensor([[1000.0], [2000.0], [3000.0]], dtype=torch.float64)
+    error = torch.tensor([[0.0], [1.1e-13], [-1.1e-13]], dtype=torch.float64)
+    assert float(mean_and_spread(error, near)[1]) == 1
+    assert float(mean_and_spread(error, 1e-9 * near)[1]) < 1e-12
+    assert float(mean_and_spread(1e-3 * error)[1]) == 1
+    assert float(mean_and_spread(near + error - near + 7)[1]) == 1

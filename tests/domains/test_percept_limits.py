@@ -22,6 +22,9 @@ def test_pairs_on_a_circle_are_found_and_stay_there() -> None:
     limits = Limits.found(named("cosine", "other", "sine"), percepts)
     valid = limits.valid(torch.tensor([[3.0, 7.0, 4.0]]))
     torch.testing.assert_close(valid, torch.tensor([[0.6, 7.0, 0.8]]))
+    tiny = 1e-9 * torch.stack([one.cos(), one.sin()], 1)
+    valid = Limits.found(named("cosine", "sine"), tiny).valid(torch.tensor([[3e-9, 4e-9]]))
+    torch.testing.assert_close(valid, torch.tensor([[0.6e-9, 0.8e-9]]), atol=1e-13, rtol=0)
 
 
 def test_constants_and_single_percepts_are_on_no_circle() -> None:

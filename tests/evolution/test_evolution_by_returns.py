@@ -6,7 +6,7 @@ import pytest
 import torch
 from support import model, random_graphs, seeded
 from torch import Tensor
-from walking import Path, RewardedPath, Walks, chain, path, walking_actions
+from walking import Path, RewardedPath, TinyPath, Walks, chain, path, walking_actions
 
 from cgtorch.evolution import (
     EvolutionSettings,
@@ -23,6 +23,7 @@ from cgtorch.evolution.fitness import WORST, WORTHLESS
 from cgtorch.evolution.selection import deviation
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import SettingsError
+from cgtorch.improvement import specialists
 from cgtorch.improvement.specialists import READABLE, shrunk
 from cgtorch.simulation import Rollouts, rollout
 from cgtorch.tabletop.actions import paper_actions
@@ -145,7 +146,7 @@ def test_a_graph_is_made_smaller_where_it_returns_as_much() -> None:
     walk = chain(ACTIONS, "Aim", "Step", *["Branch"] * 12, speed=0.1)
     place = RewardedPath(Walks(torch.tensor([-1.0, -0.5, -0.25]), torch.full((3,), 4.0)))
     before = Population(walk, initial_strategy(1))
-    after = shrunk(before, ACTIONS, place, 60, episode_return)
+    after = shrunk(before, ACTIONS, place, 60, 1e-3, episode_return)
     keep = torch.zeros(3, dtype=torch.bool)
     old, new = (
         evaluator(ACTIONS, place, keep, 60, fitness=episode_return)(p.graphs)
@@ -154,3 +155,23 @@ def test_a_graph_is_made_smaller_where_it_returns_as_much() -> None:
     assert int(after.graphs.num_nodes) <= READABLE
     assert float(old.fitness) < 0
     assert float(new.fitness) >= float(old.fitness) - 1e-3
+
+
+def test_a_graph_keeps_nodes_that_rewards_are_worth_in_any_unit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A slack of another unit would let go of steps that bring the walk to the middle sooner."""
+    monkeypatch.setattr(specialists, "READABLE", 1)
+    walk = chain(ACTIONS, *["Aim", "Step"] * 3)
+    last = ACTIONS.actions[0].num_parameters - 1
+    for number, speed in enumerate((1.0, 0.7, 0.05)):
+        walk.parameters[0, 2 * number, last] = speed
+    scenarios = Walks(torch.tensor([-1.75, -1.7]), torch.full((2,), 3.0))
+
+    def nodes(place: type[RewardedPath], slack: float) -> int:
+        before = Population(walk, initial_strategy(1))
+        about = before, ACTIONS, place(scenarios), 60, slack, episode_return
+        return int(shrunk(*about).graphs.num_nodes)
+
+    wrong = nodes(TinyPath, 1e-3)
+    assert nodes(RewardedPath, 1e-3) == nodes(TinyPath, 1e-3 * TinyPath.unit) > wrong

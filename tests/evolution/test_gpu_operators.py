@@ -194,7 +194,7 @@ def shrunk_champion(
     found = evolve(environment, actions, settings, seeded(0), keep=keep)
     generations = list(islice(found, 2))
     last = generations[-1].champion
-    small = shrunk(last, actions, environment, 20, fitness, keep.device)
+    small = shrunk(last, actions, environment, 20, 1e-3, fitness, keep.device)
     assert small.graphs.start.is_cpu  # evolution itself is on the CPU
     return [*vars(small.graphs).values()], [g.best for g in generations]
 

@@ -39,9 +39,9 @@ def sent(seen: Tensor, solves: Tensor, seed: int = 1, weight: Tensor | None = No
     return selected_members(BRANCH, parameters, seen)
 
 
-@pytest.mark.parametrize("members", [2, 4])
-def test_sets_that_can_be_separated_are(members: int) -> None:
-    seen = percepts(60)
+@pytest.mark.parametrize(("members", "unit"), [(2, 1.0), (4, 1.0), (2, 1e-9)])
+def test_sets_that_can_be_separated_are(members: int, unit: float) -> None:
+    seen = unit * percepts(60)
     edges = seen[:, 5].quantile(torch.linspace(0, 1, members + 1)[1:-1])
     zone = torch.bucketize(seen[:, 5].contiguous(), edges)
     found = sent(seen, torch.nn.functional.one_hot(zone, members).float())
@@ -51,7 +51,7 @@ def test_sets_that_can_be_separated_are(members: int) -> None:
 def test_sets_are_separated_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gate, "function", lambda name, dtype: None)
     monkeypatch.setattr(gate, "EPOCHS", 300)
-    test_sets_that_can_be_separated_are(2)
+    test_sets_that_can_be_separated_are(2, 1.0)
 
 
 def test_members_that_solve_are_preferred_and_hopeless_scenarios_ignored() -> None:

@@ -139,3 +139,19 @@ def test_a_stage_without_tests_has_a_drawing_and_tells_of_fresh_scenarios(tmp_pa
     assert words(stage.find_class("score")[0]) == fresh
     lines = final_text([result], run.domain).splitlines()
     assert lines[2].split()[:3] == ["first", "short", "–"]
+
+
+@pytest.mark.parametrize(
+    ("mean", "error", "text"),
+    [
+        (2.857, 0.01, "2.86 ± 0.02"),
+        (-3.5, 0.0, "-3.5 ± 0"),
+        (1.884e-11, 1e-13, "1.88e-11 ± 2e-13"),
+        (-3e-12, 2e-12, "-3e-12 ± 4e-12"),
+        (1.88e31, 2e29, "1.88e+31 ± 4e+29"),
+        (0.0, 1e-12, "0.000000 ± 0.000000"),
+        (2.5, None, "2.5"),
+    ],
+)
+def test_a_mean_has_its_digits_in_any_unit(mean: float, error: float | None, text: str) -> None:
+    assert mean_text(mean, error) == text

@@ -43,6 +43,11 @@ def noise(n: int) -> Tensor:
     return torch.randn(n, generator=seeded(7), dtype=torch.float64)
 
 
+def each(problems: Problems, tolerance: float) -> Tensor:
+    """The same tolerance for each problem."""
+    return torch.full_like(problems.cap, tolerance)
+
+
 def all_folds(x: Tensor, epsilon: float | None, folds: int = 3, frequency: float = 2.0) -> Problems:
     """A problem for every cost and fold."""
     mask = torch.arange(len(x)) % folds != torch.arange(folds)[:, None]
@@ -109,7 +114,7 @@ def test_solutions_are_those_of_plain_smo(seed, n, gamma, epsilon, duplicates):
     assert_feasible(problems, found)
     assert float(wrong(problems, found.beta, gram.matrix).max()) <= 2e-4
     torch.testing.assert_close(found.product, found.beta @ gram.matrix, atol=1e-4, rtol=0)
-    slow = smo_steps(gram.matrix, problems, at_zero(problems), 1e-6, 10**7)
+    slow = smo_steps(gram.matrix, problems, at_zero(problems), each(problems, 1e-6), 10**7)
     assert float(slow.violation.max()) <= 1e-6
     objectives = [dual_objective(problems, state) for state in (found, slow)]
     torch.testing.assert_close(*objectives, rtol=1e-3, atol=1e-3)
@@ -174,11 +179,11 @@ def test_what_takes_too_long_is_said_and_goes_on_from_there(kind):
     x = rows(4, 200)
     problems, gram = all_folds(x, 0.01), Gram(x, 0.05)
     matrix = gram.single if kind == torch.float32 else gram.double
-    found = compiled_smo_steps(matrix, problems, at_zero(problems), 1e-3, 1.0, 1)
+    found = compiled_smo_steps(matrix, problems, at_zero(problems), each(problems, 1e-3), 1.0, 1)
     assert float(found.violation.max()) > 1e-3
     now = wrong(problems, found.beta, gram.matrix)
     torch.testing.assert_close(found.violation, now, rtol=0, atol=1e-3)
-    on = compiled_smo_steps(matrix, problems, found, 1e-3, 1e9, 1)
+    on = compiled_smo_steps(matrix, problems, found, each(problems, 1e-3), 1e9, 1)
     assert float(wrong(problems, on.beta, gram.matrix).max()) < 1.1e-3
 
 
@@ -186,18 +191,20 @@ def test_what_takes_too_long_is_said_and_goes_on_from_there(kind):
 def test_double_precision_goes_as_far_as_is_asked():
     x = rows(4, 200)
     problems, gram = all_folds(x, 0.01), Gram(x, 0.5)
-    found = compiled_smo_steps(gram.double, problems, at_zero(problems), 1e-9, 1e12, 1)
+    found = compiled_smo_steps(
+        gram.double, problems, at_zero(problems), each(problems, 1e-9), 1e12, 1
+    )
     assert float(wrong(problems, found.beta, gram.matrix).max()) < 1.1e-9
 
 
 def test_plain_smo_says_what_too_few_steps_leave():
     x = rows(5, 50)
     problems, kernel = dual_problems(x[:, 0], 10.0, 0.01), Gram(x, 0.5).matrix
-    part = smo_steps(kernel, problems, at_zero(problems), 1e-9, 3)
+    part = smo_steps(kernel, problems, at_zero(problems), each(problems, 1e-9), 3)
     assert int((part.beta != 0).sum()) <= 6
     assert float(part.violation) > 1e-9
     assert float(violation(problems, part.beta, problems.z - part.product - part.bias)) > 1e-9
-    assert float(smo_steps(kernel, problems, part, 1e-9, 10**6).violation) <= 1e-9
+    assert float(smo_steps(kernel, problems, part, each(problems, 1e-9), 10**6).violation) <= 1e-9
 
 
 def test_exact_steps_end_what_would_take_too_long(monkeypatch):
@@ -292,7 +299,7 @@ def test_a_rough_solution_becomes_an_optimal_one(seed, exponent, epsilon):
     weight = (torch.arange(60) % 3 != torch.arange(3)[:, None]).double()
     problems = dual_problems(wave(x), 2.0**exponent * ones(3), epsilon, weight)
     kernel = Gram(x, 0.5).matrix
-    best = smo_steps(kernel, problems, at_zero(problems), 1e-7, 10**6)
+    best = smo_steps(kernel, problems, at_zero(problems), each(problems, 1e-7), 10**6)
     rough = torch.where(best.beta.abs() < 0.02 * problems.cap[:, None], 0.0, best.beta)
     start = State(rough, rough @ kernel, best.bias, best.violation)
     for number in range(3):
@@ -313,7 +320,7 @@ def test_a_rough_solution_becomes_an_optimal_one(seed, exponent, epsilon):
 def test_many_free_and_few_free_coefficients_become_exact(gamma, epsilon):
     x = rows(0, 300)
     problems, kernel = dual_problems(wave(x), 512.0, epsilon), Gram(x, gamma).matrix
-    rough = smo_steps(kernel, problems, at_zero(problems), 1e-2, 10**5)
+    rough = smo_steps(kernel, problems, at_zero(problems), each(problems, 1e-2), 10**5)
     found = polish(kernel, problems.take(0), rough.take(0), 1e-7)
     residual = problems.z[0] - found.beta @ kernel - found.bias
     assert float(violation(problems.take(0), found.beta, residual)) <= 2e-7

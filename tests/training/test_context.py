@@ -54,6 +54,15 @@ def test_with_rewards_there_is_no_practice(chosen: int) -> None:
     assert (setup.practice, setup.looks) == (0, 0)
 
 
+def test_the_smallest_return_that_counts_is_a_share_of_the_target() -> None:
+    class Tiny(Walking):
+        target_return = -1e-12
+
+    for domain, least in ((TABLE, 1e-3), (Walking(), 1e-3), (Tiny(), 1e-15)):
+        run = StoredRun(Path("none"), RunSettings(), domain, domain.actions())
+        assert training_of(run).setup("auto-1").budget.least == pytest.approx(least)
+
+
 def test_all_that_is_asked_is_paid_from_one_purse() -> None:
     training = training_of(RUN, Purse({"motions": 3}))
     assert training.setup("S0").purse is training.purse

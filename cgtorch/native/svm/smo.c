@@ -129,8 +129,8 @@ typedef struct {
   const real *kernel; /* (n, stride), n filled up to WIDTH with finite numbers */
   int64_t n, stride, count;
   const double *z, *lower, *upper; /* (count, n) */
-  const double *epsilon;           /* (count,) */
-  double tolerance, gap;           /* gap: of the objective, at most */
+  const double *epsilon, *tolerance; /* (count,) */
+  double gap;                      /* of the objective, at most */
   double worth;                    /* kernel values that a problem may take */
   double *beta, *gradient;         /* (count, n); the gradient is K beta - z */
   double *bias, *violation;        /* (count,) */
@@ -157,16 +157,17 @@ static void extremes(const Problems *p, double *high, double *low) {
   *low = least_cost;
 }
 
-/* The duality gap at a bias, as a share of the objective. */
+/* The duality gap at a bias, as a share of the objective, of which outliers count like other rows. */
 static double relative_gap(const Problems *p, double bias) {
-  double gap = 0, objective = 0, epsilon = *p->epsilon;
+  double gap = 0, objective = 0, most = 0, epsilon = *p->epsilon;
   for (int64_t t = 0; t < p->n; t++) {
+    most += p->upper[t] - p->lower[t];
     double b = p->beta[t], r = -p->gradient[t] - bias, tube = epsilon * fabs(b);
     double over = r - epsilon, under = -r - epsilon;
     gap += p->upper[t] * (over > 0 ? over : 0) - p->lower[t] * (under > 0 ? under : 0) - r * b + tube;
     objective += 0.5 * (p->gradient[t] - p->z[t]) * b + tube;
   }
-  return gap / (fabs(objective) + 1e-12);
+  return gap / fmin(fmax(fabs(objective), 1e-12 * most), most);
 }
 
 static double kth_largest(double *v, int64_t n, int64_t k) {
@@ -277,7 +278,7 @@ static int64_t take_over(const Problems *p, Memory *m, int64_t count) {
 
 /* Solves the first problem from its present state; returns the remaining violation. */
 static double solve(const Problems *p, Memory *m) {
-  double tolerance = p->tolerance, finest = FINEST * tolerance, work = 0;
+  double tolerance = *p->tolerance, finest = FINEST * tolerance, work = 0;
   for (int round = 0;; round++) {
     double high, low;
     extremes(p, &high, &low);
@@ -336,7 +337,7 @@ static void some_problems(void *what, int64_t begin, int64_t end) {
   for (int64_t i = begin; i < end && room; i++) {
     Problems p = *all;
     p.z += i * n, p.lower += i * n, p.upper += i * n, p.beta += i * n, p.gradient += i * n;
-    p.epsilon += i, p.bias += i;
+    p.epsilon += i, p.bias += i, p.tolerance += i;
     all->violation[i] = solve(&p, &memory);
   }
   free(memory.score), free(memory.block), free(memory.index);
