@@ -160,7 +160,7 @@ def built(dtype: torch.dtype) -> Interface | None:
         return None
     found = interface_of(loaded, compiler.sources().decode(), REALS[dtype])
     agree(found.constants["failures"], FAILURES)
-    agree(found.constants["vector"], {"BYTES": VECTOR})
+    agree(found.constants["blocks"], {"BLOCK_BYTES": VECTOR})
     return found
 
 
