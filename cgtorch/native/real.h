@@ -61,8 +61,10 @@ typedef real vec __attribute__((vector_size(BYTES), aligned(8)));
 
 typedef whole vwhole __attribute__((vector_size(BYTES), aligned(8)));
 
-INLINE vec load(const real *p) { vec v; memcpy(&v, p, BYTES); return v; }
-INLINE void store(real *p, vec v) { memcpy(p, &v, BYTES); }
+/* GCC would copy the halves of 32 bytes by memcpy through memory, and wait for them. */
+typedef real unaligned __attribute__((vector_size(BYTES), aligned(sizeof(real)), may_alias));
+INLINE vec load(const real *p) { return *(const unaligned *)p; }
+INLINE void store(real *p, vec v) { *(unaligned *)p = v; }
 INLINE vec vec_of(real x) { return x - (vec){0}; }
 INLINE vec as_numbers(vwhole x) { return __builtin_convertvector(x, vec); }
 INLINE vwhole every(whole x) { return x - (vwhole){0}; }

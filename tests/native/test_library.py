@@ -27,12 +27,13 @@ def found_anew(monkeypatch: pytest.MonkeyPatch, **environment: str) -> Any:
     return library.library(torch.float32)
 
 
-def test_it_is_compiled_once_into_the_cache(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_it_is_compiled_once_into_the_cache_and_that_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert library.to_be_compiled()
+    monkeypatch.setattr(library, "SILENT", 0.0)
     found = found_anew(monkeypatch, CC=quick_compiler(tmp_path))
+    assert capsys.readouterr().err == "compiling the engine for this CPU, once (float) ...\n"
     assert found.functions.keys() >= {"rbf_values", "rbf_gram"}
     (made,) = (tmp_path / "cgtorch").iterdir()
     assert made.suffix == ".so"
@@ -41,6 +42,7 @@ def test_it_is_compiled_once_into_the_cache(
     assert found_anew(monkeypatch)
     assert made.stat().st_mtime_ns == time
     assert list((tmp_path / "cgtorch").iterdir()) == [made]
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.parametrize("harm", ["empty", "cut", "another's", "anybody's", "link"])
@@ -62,9 +64,7 @@ def test_what_is_not_whole_or_not_ones_own_is_compiled_again(
         if os.geteuid() != 0:
             pytest.skip("only root can give folders away")
         os.chown(tmp_path / "cgtorch", 12345, 12345)
-    assert library.to_be_compiled()
     assert found_anew(monkeypatch)
-    assert not library.to_be_compiled()
     if harm == "another's":  # in a folder of this user's own
         assert (tmp_path / "cgtorch-0" / made.name).exists()
     else:
@@ -80,7 +80,6 @@ def test_a_cache_that_belongs_to_others_is_not_used(
     monkeypatch.setattr("os.geteuid", lambda: own + 1)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert not found_anew(monkeypatch, CC=quick_compiler(tmp_path))
-    assert not library.to_be_compiled()
     assert not list((tmp_path / f"cgtorch-{own + 1}").iterdir())
 
 
@@ -95,7 +94,6 @@ def test_without_a_compiler_or_a_cache_nothing_is_found_and_that_is_no_error(
     place = tmp_path / "file" if "XDG_CACHE_HOME" in environment else tmp_path
     (tmp_path / "file").write_text("in the way")
     assert not found_anew(monkeypatch, **(environment | {"XDG_CACHE_HOME": str(place)}))
-    assert not library.to_be_compiled()
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
