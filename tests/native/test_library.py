@@ -19,6 +19,12 @@ SOURCES = compiler.sources().decode()
 MACHINE = {"centres": None, "weights": None, "bias": None, "scale": 2.0, "m": 8, "d": 4, "k": 1}
 
 
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A compiler that compiles each source once for all these tests."""
+    return quick_compiler(tmp_path_factory.mktemp("compiler"))
+
+
 def found_anew(monkeypatch: pytest.MonkeyPatch, **environment: str) -> Any:
     """What a process with these variables would find."""
     for name, value in environment.items():
@@ -28,11 +34,14 @@ def found_anew(monkeypatch: pytest.MonkeyPatch, **environment: str) -> Any:
 
 
 def test_it_is_compiled_once_into_the_cache_and_that_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    quick: str,
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(library, "SILENT", 0.0)
-    found = found_anew(monkeypatch, CC=quick_compiler(tmp_path))
+    found = found_anew(monkeypatch, CC=quick)
     assert capsys.readouterr().err == "compiling the engine for this CPU, once (float) ...\n"
     assert found.functions.keys() >= {"rbf_values", "rbf_gram"}
     (made,) = (tmp_path / "cgtorch").iterdir()
@@ -47,10 +56,10 @@ def test_it_is_compiled_once_into_the_cache_and_that_is_told(
 
 @pytest.mark.parametrize("harm", ["empty", "cut", "another's", "anybody's", "link"])
 def test_what_is_not_whole_or_not_ones_own_is_compiled_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, harm: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick: str, harm: str
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setenv("CC", quick_compiler(tmp_path))
+    monkeypatch.setenv("CC", quick)
     assert found_anew(monkeypatch)
     (made,) = (tmp_path / "cgtorch").iterdir()
     whole, evil = made.read_bytes(), tmp_path / "evil"
@@ -74,12 +83,12 @@ def test_what_is_not_whole_or_not_ones_own_is_compiled_again(
 
 
 def test_a_cache_that_belongs_to_others_is_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick: str
 ) -> None:
     own = os.geteuid()
     monkeypatch.setattr("os.geteuid", lambda: own + 1)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert not found_anew(monkeypatch, CC=quick_compiler(tmp_path))
+    assert not found_anew(monkeypatch, CC=quick)
     assert not list((tmp_path / f"cgtorch-{own + 1}").iterdir())
 
 
