@@ -14,7 +14,7 @@ SHORT = "--target 0.6 --practice 8 --attempts 12 --generations 40"
 
 
 def ran(line: str, folder: Path, shell: Shell) -> str:
-    """What a line of the page prints, run as it stands there; programs in a process of their own."""
+    """What a line of the page prints, run as it stands there; Python in a process of its own."""
     name, *rest = shlex.split(line)
     if name != "python":
         return shell.does(name, *rest, *(shlex.split(SHORT) if name == "cgtorch-train" else [])).out

@@ -25,7 +25,8 @@ void sines(const real *x, real *s, real *c, int64_t n) {
 void angles(const real *y, const real *x, real *out, int64_t n) {
   for (int64_t i = 0; i < n; i += WIDTH) store(out + i, atan2_vec(load(y + i), load(x + i)));
 }
-void machine(const real *x, const real *centres, const real *weights, real *values, real *nearest, int64_t m) {
+void machine(const real *x, const real *centres, const real *weights, real *values, real *nearest,
+             int64_t m) {
   real bias = 0;
   Machine f = {centres, weights, &bias, 1, m, 1, 1};
   machine_rows(&f, x, TILE, 1, 1, values, nearest);
@@ -135,7 +136,7 @@ def test_sums_over_blocks_are_those_of_numpy(real, functions):
 
 
 def machine_of(real):
-    """Four rows, and three blocks of centres and weights; the nearest are in all parts of a block."""
+    """Four rows, and three blocks of centres and weights."""
     random = np.random.default_rng(1)
     centres, weights = random.normal(size=(2, 3 * block_of(real)))
     return [each.astype(TYPES[real]) for each in (random.normal(size=4), centres, 1 + weights**2)]
