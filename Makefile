@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train check test durations lint prose types format docs figures fingerprint \
-	hostile reference gpu clean
+	hostile reference gpu wheel clean
 
 # Tests that need no training: a habit of every change. `make test` runs all.
 FAST := tests/ground tests/graphs tests/test_house.py \
@@ -82,6 +82,13 @@ hostile: setup  ## Damage files, and kill runs, ranks and a robot's run (half an
 
 reference: setup  ## Make runs/reference again (3 minutes)
 	$(BIN)/python tools/make_reference_run.py
+
+wheel: setup  ## Build a wheel into dist, with libraries for Linux, and try it without a compiler
+	$(INSTALL) --editable '.[wheel]'
+	rm -rf build/wheel dist
+	$(BIN)/python -m build --wheel --no-isolation --outdir build/wheel
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/auditwheel repair --wheel-dir dist build/wheel/*.whl
+	$(BIN)/python tools/try_wheel.py dist/*.whl
 
 clean:  ## Remove the environment and caches
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis build dist site

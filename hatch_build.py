@@ -7,6 +7,8 @@ import importlib.util
 import platform
 import subprocess
 import sysconfig
+import time
+from itertools import product
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -30,15 +32,24 @@ class CompiledLibraries(BuildHookInterface[Any]):
             return
         folder = Path(self.directory) / "compiled"
         folder.mkdir(parents=True, exist_ok=True)
+        wanted = {
+            folder / compiler.wheel_file_name(real, target): (real, options)
+            for real, (target, options) in product(compiler.REALS, compiler.TARGETS.items())
+        }
+        files = len(compiler.c_files())
+        self.app.display_info(
+            f"{name} compiles {len(wanted) * files} objects: {files} C files, for numbers of "
+            f"{' and '.join(compiler.REALS)}, and CPUs with {' and '.join(compiler.TARGETS)}; "
+            "this takes about a minute of two cores"
+        )
+        begun = time.monotonic()
         try:
-            for real in compiler.REALS:
-                for target, options in compiler.TARGETS.items():
-                    path = folder / compiler.wheel_file_name(real, target)
-                    compiler.compile_library(real, name, options, path)
-                    inside = f"cgtorch/native/compiled/{path.name}"
-                    build_data["force_include"][str(path)] = inside
+            compiler.compile_libraries(name, wanted)
         except (OSError, subprocess.SubprocessError) as e:
             raise RuntimeError(f"{name} cannot compile the C sources: {e}") from e
+        self.app.display_info(f"compiled in {time.monotonic() - begun:.0f} s")
+        for path in wanted:
+            build_data["force_include"][str(path)] = f"cgtorch/native/compiled/{path.name}"
         build_data["pure_python"] = False
         platform_tag = sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["tag"] = f"py3-none-{platform_tag}"

@@ -11,5 +11,4 @@ from cgtorch.native.library import required as required
 from cgtorch.native.library import structure as structure
 from cgtorch.native.library import suits as suits
 from cgtorch.native.library import threads as threads
-from cgtorch.native.library import to_be_compiled as to_be_compiled
 from cgtorch.native.library import use_threads as use_threads

@@ -8,9 +8,10 @@ import os
 import platform
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -52,7 +53,7 @@ def own_target(compiler: str) -> tuple[str, ...]:
 
 def file_name(real: str, compiler: str, target: Sequence[str]) -> str:
     """The name of a library, which depends on all of its inputs."""
-    about = [platform.machine(), *_command(real, compiler, target), _macros(compiler, target)]
+    about = [platform.machine(), *_command(compiler, real, target), _macros(compiler, target)]
     key = hashlib.sha256("\0".join(about).encode() + sources()).hexdigest()[:32]
     return f"{real}-{key}.so"
 
@@ -62,30 +63,52 @@ def wheel_file_name(real: str, target: str) -> str:
     return f"{real}-{target}-{hashlib.sha256(sources()).hexdigest()[:32]}.so"
 
 
-def compile_library(real: str, compiler: str, target: Sequence[str], path: Path) -> None:
-    """Write the library, completely or not at all, compiling the sources in parallel.
+def c_files() -> list[Path]:
+    """The C files, those first that take the compiler longest."""
+    slow = "kernel_rollouts", "rollouts", "rbf", "waiting", "models"
+    return sorted(SOURCES.rglob("*.c"), key=lambda source: source.stem not in slow)
+
+
+def compile_libraries(compiler: str, wanted: Mapping[Path, tuple[str, Sequence[str]]]) -> None:
+    """Write libraries into one folder, each completely or not at all, on all cores.
 
     Other processes may do the same at the same time.
-    """
-    with TemporaryDirectory(dir=path.parent) as folder, ThreadPoolExecutor() as pool:
 
-        def compiled(source: Path) -> str:
-            made = str(Path(folder) / f"{source.parent.name}-{source.stem}.o")
-            command = _command(real, compiler, target)
-            _run([*command, f"-I{SOURCES}", "-c", str(source), "-o", made])
+    Args:
+        compiler: The command.
+        wanted: By the path of a library, the type of its numbers and the options for its CPU.
+
+    Raises:
+        SubprocessError: The compiler failed.
+        OSError: It cannot be called, or the folder cannot be written to.
+    """
+    (place,) = {path.parent for path in wanted}
+    with TemporaryDirectory(dir=place) as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+
+        def compiled(work: tuple[Path, Path]) -> str:
+            source, path = work
+            made = str(Path(folder) / f"{path.stem}-{source.parent.name}-{source.stem}.o")
+            _run(
+                [*_command(compiler, *wanted[path]), f"-I{SOURCES}", "-c", str(source), "-o", made]
+            )
             return made
 
-        slow = ("rollouts", "kernel_rollouts", "worlds", "rbf", "models")  # which go first
-        files = sorted(SOURCES.rglob("*.c"), key=lambda source: source.stem not in slow)
-        objects, whole = pool.map(compiled, files), Path(folder) / path.name
-        _run([compiler, "-shared", "-pthread", *objects, "-o", str(whole), "-lm"])
-        whole.chmod(0o755)  # so that nobody else can change it
-        with whole.open("rb") as file:
-            os.fsync(file.fileno())  # or it may be empty after the machine has failed
-        whole.replace(path)
+        works = list(product(c_files(), wanted))
+        objects = list(pool.map(compiled, works))
+        for path in wanted:
+            own = [made for made, (_, of) in zip(objects, works, strict=True) if of == path]
+            _link(compiler, own, Path(folder) / path.name).replace(path)
 
 
-def _command(real: str, compiler: str, target: Sequence[str]) -> list[str]:
+def _link(compiler: str, objects: list[str], whole: Path) -> Path:
+    _run([compiler, "-shared", "-pthread", *objects, "-o", str(whole), "-lm"])
+    whole.chmod(0o755)  # so that nobody else can change it
+    with whole.open("rb") as file:
+        os.fsync(file.fileno())  # or it may be empty after the machine has failed
+    return whole
+
+
+def _command(compiler: str, real: str, target: Sequence[str]) -> list[str]:
     return [compiler, *FLAGS, *target, f"-DREAL={real}", f"-DREAL_IS_{real.upper()}"]
 
 

@@ -14,10 +14,13 @@ import os
 import platform
 import re
 import subprocess
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import torch
@@ -32,7 +35,9 @@ REALS = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}
 FROM_WHEEL = Path(__file__).parent / "compiled"
 """The folder of libraries that came with a wheel."""
 VECTOR = 64
-"""The size of a vector of numbers in bytes, as in real.h."""
+"""Rows of numbers are filled up to multiples of this many bytes, a block of real.h."""
+SILENT = 1.0
+"""Seconds that the compiler may take without a word."""
 WRONG_GRAPHS = 2
 FAILURES = {"DONE": 0, "NO_MEMORY": 1, "WRONG_GRAPHS": WRONG_GRAPHS}
 """The return values of functions, as in library.h."""
@@ -49,15 +54,6 @@ _threads = 0
 def available() -> bool:
     """Whether hot paths run compiled; the first call compiles them, which takes seconds."""
     return library(torch.float32) is not None
-
-
-def to_be_compiled() -> bool:
-    """Whether `available` will take seconds: there is a compiler, but no library yet."""
-    try:
-        kept = _kept("float") if _switched_on() else None
-        return kept is not None and not is_whole(kept)
-    except (OSError, subprocess.SubprocessError):
-        return False
 
 
 def function(name: str, dtype: torch.dtype) -> Any:
@@ -160,7 +156,7 @@ def built(dtype: torch.dtype) -> Interface | None:
         return None
     found = interface_of(loaded, compiler.sources().decode(), REALS[dtype])
     agree(found.constants["failures"], FAILURES)
-    agree(found.constants["vector"], {"BYTES": VECTOR})
+    agree(found.constants["blocks"], {"BLOCK_BYTES": VECTOR})
     return found
 
 
@@ -174,11 +170,23 @@ def _loaded(real: str) -> ctypes.CDLL | None:
         if path := _kept(real):
             if not is_whole(path):
                 name = compiler.found_compiler() or ""
-                compiler.compile_library(real, name, compiler.own_target(name), path)
+                with _told_if_slow(f"compiling the engine for this CPU, once ({real}) ..."):
+                    compiler.compile_libraries(name, {path: (real, compiler.own_target(name))})
             return ctypes.CDLL(str(path))
     except (OSError, subprocess.SubprocessError):
         pass
     return _from_wheel(real)
+
+
+@contextmanager
+def _told_if_slow(what: str) -> Iterator[None]:
+    """Say on the terminal what is waited for, if it takes longer than `SILENT`."""
+    timer = Timer(SILENT, lambda: print(what, file=sys.stderr))  # noqa: T201
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _kept(real: str) -> Path | None:

@@ -1,6 +1,6 @@
-/* Vectors of 64 bytes of REAL, float or double, for any registers of the CPU: sums of sixteen or eight parts
-   have the same order everywhere, and rows are independent. On a GPU, a vector is one thread's number
-   (cuda/lane.h). */
+/* Vectors of REAL, float or double, that fill the CPU's registers. Numbers are added up in blocks of 64 bytes,
+   which are one vector or two, so that sums of sixteen or eight parts have the same order everywhere; rows are
+   independent. On a GPU, a vector is one thread's number (cuda/lane.h). */
 #pragma once
 #ifdef __CUDACC_RTC__
 #include "cuda/types.h"
@@ -44,14 +44,27 @@ typedef int64_t whole;
 /* Long functions stay out of the loops that call them, whose registers they would take. */
 #define APART static __attribute__((noinline))
 
+#define BLOCK_BYTES 64
+#define BLOCK ((int)(BLOCK_BYTES / sizeof(real)))
+#ifdef __AVX512DQ__
 #define BYTES 64
-#define WIDTH ((int)(BYTES / sizeof(real)))
+#else
+#define BYTES 32
+#endif
+#define VECTORS (BLOCK_BYTES / BYTES)
+#ifdef REAL_IS_FLOAT
+#define WIDTH (BYTES / 4)
+#else
+#define WIDTH (BYTES / 8)
+#endif
 typedef real vec __attribute__((vector_size(BYTES), aligned(8)));
 
 typedef whole vwhole __attribute__((vector_size(BYTES), aligned(8)));
 
-INLINE vec load(const real *p) { vec v; memcpy(&v, p, BYTES); return v; }
-INLINE void store(real *p, vec v) { memcpy(p, &v, BYTES); }
+/* GCC would copy the halves of 32 bytes by memcpy through memory, and wait for them. */
+typedef real unaligned __attribute__((vector_size(BYTES), aligned(sizeof(real)), may_alias));
+INLINE vec load(const real *p) { return *(const unaligned *)p; }
+INLINE void store(real *p, vec v) { *(unaligned *)p = v; }
 INLINE vec vec_of(real x) { return x - (vec){0}; }
 INLINE vec as_numbers(vwhole x) { return __builtin_convertvector(x, vec); }
 INLINE vwhole every(whole x) { return x - (vwhole){0}; }
@@ -94,6 +107,10 @@ INLINE uint32_t bits_of(vwhole yes) {
   return _mm512_movepi32_mask((__m512i)yes);
 #elif defined(__AVX512DQ__)
   return _mm512_movepi64_mask((__m512i)yes);
+#elif defined(__AVX2__) && defined(REAL_IS_FLOAT)
+  return (uint32_t)__builtin_ia32_movmskps256((float __attribute__((vector_size(32))))yes);
+#elif defined(__AVX2__)
+  return (uint32_t)__builtin_ia32_movmskpd256((double __attribute__((vector_size(32))))yes);
 #else
   uint32_t bits = 0;
   for (int i = 0; i < WIDTH; i++) bits |= (uint32_t)(yes[i] < 0) << i;
@@ -101,47 +118,45 @@ INLINE uint32_t bits_of(vwhole yes) {
 #endif
 }
 
-/* The sum and the least of a vector's parts, the first half with the second and so on; and those of
-   four vectors at once, to the bit: their halves side by side, then quarters. */
-#ifdef REAL_IS_FLOAT
-#define HALF(v) __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15, 0, 1, 2, 3, 4, 5, 6, 7)
-#define QUARTER(v) __builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3, 12, 13, 14, 15, 8, 9, 10, 11)
-#define EIGHTH(v) __builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5, 10, 11, 8, 9, 14, 15, 12, 13)
-#define WITH_EIGHTH(v, both) both(v, EIGHTH(v))
-#define LAST(v) __builtin_shufflevector(v, v, 1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 13, 12, 15, 14)
-#define LEFT_HALVES(a, b) \
-  __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23)
-#define RIGHT_HALVES(a, b) \
-  __builtin_shufflevector(a, b, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31)
-#define LEFT_QUARTERS(a, b) \
-  __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27)
-#define RIGHT_QUARTERS(a, b) \
-  __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31)
+/* Two vectors' numbers j in another order, and that with a piece of s numbers and its neighbour exchanged, or
+   all even or odd pieces. */
+#if WIDTH == 16
+#define SHUFFLED(a, b, from, s)                                                                      \
+  __builtin_shufflevector(a, b, from(0, s), from(1, s), from(2, s), from(3, s), from(4, s), from(5, s), \
+                          from(6, s), from(7, s), from(8, s), from(9, s), from(10, s), from(11, s),   \
+                          from(12, s), from(13, s), from(14, s), from(15, s))
+#elif WIDTH == 8
+#define SHUFFLED(a, b, from, s)                                                                      \
+  __builtin_shufflevector(a, b, from(0, s), from(1, s), from(2, s), from(3, s), from(4, s), from(5, s), \
+                          from(6, s), from(7, s))
 #else
-#define HALF(v) __builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3)
-#define QUARTER(v) __builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5)
-#define WITH_EIGHTH(v, both) (v)
-#define LAST(v) __builtin_shufflevector(v, v, 1, 0, 3, 2, 5, 4, 7, 6)
-#define LEFT_HALVES(a, b) __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11)
-#define RIGHT_HALVES(a, b) __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15)
-#define LEFT_QUARTERS(a, b) __builtin_shufflevector(a, b, 0, 1, 4, 5, 8, 9, 12, 13)
-#define RIGHT_QUARTERS(a, b) __builtin_shufflevector(a, b, 2, 3, 6, 7, 10, 11, 14, 15)
+#define SHUFFLED(a, b, from, s) \
+  __builtin_shufflevector(a, b, from(0, s), from(1, s), from(2, s), from(3, s))
 #endif
-#define REDUCTIONS(of_one, of_four, both)                           \
-  INLINE real of_one(vec v) {                                       \
-    v = both(v, HALF(v));                                           \
-    v = both(v, QUARTER(v));                                        \
-    v = WITH_EIGHTH(v, both);                                       \
-    v = both(v, LAST(v));                                           \
-    return v[0];                                                    \
-  }                                                                 \
-  INLINE void of_four(const vec *v, real *out) {                    \
-    vec ab = both(LEFT_HALVES(v[0], v[1]), RIGHT_HALVES(v[0], v[1])); \
-    vec cd = both(LEFT_HALVES(v[2], v[3]), RIGHT_HALVES(v[2], v[3])); \
-    vec all4 = both(LEFT_QUARTERS(ab, cd), RIGHT_QUARTERS(ab, cd)); \
-    all4 = WITH_EIGHTH(all4, both);                                 \
-    all4 = both(all4, LAST(all4));                                  \
-    for (int r = 0; r < 4; r++) out[r] = all4[r * WIDTH / 4];       \
+#define EXCHANGED(j, s) ((j) ^ (s))
+#define EVEN(j, s) ((j) / (s) * 2 * (s) + (j) % (s))
+#define ODD(j, s) (EVEN(j, s) + (s))
+
+/* The sum and the least of a vector's parts, the first half with the second and so on; and those of
+   four blocks at once, to the bit: their halves side by side, then quarters. */
+#define REDUCTIONS(of_vector, of_four, both)                                            \
+  INLINE real of_vector(vec v) {                                                        \
+    if (WIDTH > 8) v = both(v, SHUFFLED(v, v, EXCHANGED, 8 % WIDTH));                   \
+    if (WIDTH > 4) v = both(v, SHUFFLED(v, v, EXCHANGED, 4));                           \
+    v = both(v, SHUFFLED(v, v, EXCHANGED, 2));                                          \
+    v = both(v, SHUFFLED(v, v, EXCHANGED, 1));                                          \
+    return v[0];                                                                        \
+  }                                                                                     \
+  INLINE void of_four(const vec (*block)[VECTORS], real *out) {                         \
+    vec v[4];                                                                           \
+    for (int r = 0; r < 4; r++)                                                         \
+      v[r] = VECTORS > 1 ? both(block[r][0], block[r][VECTORS - 1]) : block[r][0];      \
+    vec ab = both(SHUFFLED(v[0], v[1], EVEN, WIDTH / 2), SHUFFLED(v[0], v[1], ODD, WIDTH / 2)); \
+    vec cd = both(SHUFFLED(v[2], v[3], EVEN, WIDTH / 2), SHUFFLED(v[2], v[3], ODD, WIDTH / 2)); \
+    vec all4 = both(SHUFFLED(ab, cd, EVEN, WIDTH / 4), SHUFFLED(ab, cd, ODD, WIDTH / 4)); \
+    if (WIDTH > 8) all4 = both(all4, SHUFFLED(all4, all4, EXCHANGED, 2));               \
+    if (WIDTH > 4) all4 = both(all4, SHUFFLED(all4, all4, EXCHANGED, 1));               \
+    for (int r = 0; r < 4; r++) out[r] = all4[r * WIDTH / 4];                           \
   }
 INLINE vec vec_sum(vec a, vec b) { return a + b; }
 REDUCTIONS(sum, sums, vec_sum)

@@ -195,9 +195,7 @@ def carry_out(
     """
     run, auto = work.run, work.auto
     with _one_thread_each():
-        if native.to_be_compiled():
-            with display.working("compiling the engine for this CPU (once)"):
-                native.available()
+        native.available()  # so that no time of a stage has that of the compiler
         for line in (
             *run.domain.pictures(run.domain).remarks(),
             *_earlier_stages(work),

@@ -1,4 +1,4 @@
-"""Sines and angles of angles.h beside those of mpmath and numpy, for each kind of CPU."""
+"""Sines, angles and sums of vectors beside those of mpmath and numpy, for each kind of CPU."""
 
 import ctypes
 import subprocess
@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from cgtorch.native import compiler
+from cgtorch.native import VECTOR, compiler
 
 SOURCE = """
 #include "angles.h"
+#include "svm/rbf.h"
 void sines(const real *x, real *s, real *c, int64_t n) {
   for (int64_t i = 0; i < n; i += WIDTH) {
     vec sine, cosine;
@@ -23,6 +24,12 @@ void sines(const real *x, real *s, real *c, int64_t n) {
 }
 void angles(const real *y, const real *x, real *out, int64_t n) {
   for (int64_t i = 0; i < n; i += WIDTH) store(out + i, atan2_vec(load(y + i), load(x + i)));
+}
+void machine(const real *x, const real *centres, const real *weights, real *values, real *nearest,
+             int64_t m) {
+  real bias = 0;
+  Machine f = {centres, weights, &bias, 1, m, 1, 1};
+  machine_rows(&f, x, TILE, 1, 1, values, nearest);
 }
 """
 TYPES = {"float": np.float32, "double": np.float64}
@@ -48,7 +55,7 @@ class Functions:
     def __init__(self, folder: Path, real: str, name: str):
         source, library = folder / "angles.c", folder / f"{real}-{name}.so"
         source.write_text(SOURCE)
-        command = [*compiler._command(real, "cc", targets()[name]), f"-I{compiler.SOURCES}"]
+        command = [*compiler._command("cc", real, targets()[name]), f"-I{compiler.SOURCES}"]
         rest = ["-Wno-psabi", "-shared", str(source), "-o", str(library), "-lm"]
         subprocess.run([*command, *rest], check=True)
         self.library = ctypes.CDLL(str(library))
@@ -66,6 +73,13 @@ class Functions:
         out = np.empty_like(x)
         self.called("angles", y, x, out)
         return out
+
+    def machine(self, x, centres, weights):
+        """Values of rows x (4,) and squared distances (4,) to centres (m,)."""
+        found = np.empty((2, 4), x.dtype)
+        places = [ctypes.c_void_p(each.ctypes.data) for each in (x, centres, weights, *found)]
+        self.library.machine(*places, ctypes.c_int64(len(centres)))
+        return found
 
 
 @pytest.fixture(scope="module")
@@ -113,11 +127,31 @@ def test_angles_of_zeros_have_their_signs_and_what_is_not_finite_has_none(real, 
     assert np.isnan(np.stack(functions.sines(not_finite))[:, :3]).all()
 
 
+def test_sums_over_blocks_are_those_of_numpy(real, functions):
+    x, centres, weights = machine_of(real)
+    square = (x[:, None].astype(float) - centres) ** 2
+    values, nearest = functions.machine(x, centres, weights)
+    np.testing.assert_allclose(values, (2**-square * weights).sum(1), rtol=1e-4)
+    np.testing.assert_allclose(nearest, square.min(1), rtol=1e-3)
+
+
+def machine_of(real):
+    """Four rows, and three blocks of centres and weights."""
+    random = np.random.default_rng(1)
+    centres, weights = random.normal(size=(2, 3 * block_of(real)))
+    return [each.astype(TYPES[real]) for each in (random.normal(size=4), centres, 1 + weights**2)]
+
+
+def block_of(real):
+    return VECTOR // np.dtype(TYPES[real]).itemsize
+
+
 def test_all_cpus_make_the_same_bits(real, tmp_path):
     x, y = spread(real, -3, 30), spread(real, -6, 6)
     found = []
     for name in targets():
         functions = Functions(tmp_path, real, name)
-        found.append(np.stack([*functions.sines(x), functions.angles(y, np.roll(y, 1))]))
+        angles = np.stack([*functions.sines(x), functions.angles(y, np.roll(y, 1))])
+        found.append(np.concatenate([angles.ravel(), functions.machine(*machine_of(real)).ravel()]))
     for other in found[1:]:
         np.testing.assert_array_equal(found[0], other)

@@ -19,6 +19,12 @@ SOURCES = compiler.sources().decode()
 MACHINE = {"centres": None, "weights": None, "bias": None, "scale": 2.0, "m": 8, "d": 4, "k": 1}
 
 
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A compiler that compiles each source once for all these tests."""
+    return quick_compiler(tmp_path_factory.mktemp("compiler"))
+
+
 def found_anew(monkeypatch: pytest.MonkeyPatch, **environment: str) -> Any:
     """What a process with these variables would find."""
     for name, value in environment.items():
@@ -27,12 +33,16 @@ def found_anew(monkeypatch: pytest.MonkeyPatch, **environment: str) -> Any:
     return library.library(torch.float32)
 
 
-def test_it_is_compiled_once_into_the_cache(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_it_is_compiled_once_into_the_cache_and_that_is_told(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    quick: str,
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert library.to_be_compiled()
-    found = found_anew(monkeypatch, CC=quick_compiler(tmp_path))
+    monkeypatch.setattr(library, "SILENT", 0.0)
+    found = found_anew(monkeypatch, CC=quick)
+    assert capsys.readouterr().err == "compiling the engine for this CPU, once (float) ...\n"
     assert found.functions.keys() >= {"rbf_values", "rbf_gram"}
     (made,) = (tmp_path / "cgtorch").iterdir()
     assert made.suffix == ".so"
@@ -41,14 +51,15 @@ def test_it_is_compiled_once_into_the_cache(
     assert found_anew(monkeypatch)
     assert made.stat().st_mtime_ns == time
     assert list((tmp_path / "cgtorch").iterdir()) == [made]
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.parametrize("harm", ["empty", "cut", "another's", "anybody's", "link"])
 def test_what_is_not_whole_or_not_ones_own_is_compiled_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, harm: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick: str, harm: str
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setenv("CC", quick_compiler(tmp_path))
+    monkeypatch.setenv("CC", quick)
     assert found_anew(monkeypatch)
     (made,) = (tmp_path / "cgtorch").iterdir()
     whole, evil = made.read_bytes(), tmp_path / "evil"
@@ -62,9 +73,7 @@ def test_what_is_not_whole_or_not_ones_own_is_compiled_again(
         if os.geteuid() != 0:
             pytest.skip("only root can give folders away")
         os.chown(tmp_path / "cgtorch", 12345, 12345)
-    assert library.to_be_compiled()
     assert found_anew(monkeypatch)
-    assert not library.to_be_compiled()
     if harm == "another's":  # in a folder of this user's own
         assert (tmp_path / "cgtorch-0" / made.name).exists()
     else:
@@ -74,13 +83,12 @@ def test_what_is_not_whole_or_not_ones_own_is_compiled_again(
 
 
 def test_a_cache_that_belongs_to_others_is_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick: str
 ) -> None:
     own = os.geteuid()
     monkeypatch.setattr("os.geteuid", lambda: own + 1)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert not found_anew(monkeypatch, CC=quick_compiler(tmp_path))
-    assert not library.to_be_compiled()
+    assert not found_anew(monkeypatch, CC=quick)
     assert not list((tmp_path / f"cgtorch-{own + 1}").iterdir())
 
 
@@ -95,7 +103,6 @@ def test_without_a_compiler_or_a_cache_nothing_is_found_and_that_is_no_error(
     place = tmp_path / "file" if "XDG_CACHE_HOME" in environment else tmp_path
     (tmp_path / "file").write_text("in the way")
     assert not found_anew(monkeypatch, **(environment | {"XDG_CACHE_HOME": str(place)}))
-    assert not library.to_be_compiled()
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

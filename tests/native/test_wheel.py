@@ -1,4 +1,4 @@
-"""A wheel has the C sources compiled: where it is installed no compiler is needed."""
+"""A wheel has the C sources compiled, and says so: where it is installed no compiler is needed."""
 
 import os
 import platform
@@ -39,10 +39,13 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     (other,) = (options[0] for name, options in compiler.TARGETS.items() if name != ABLE)
     command = [sys.executable, "-m", "pip", "wheel", str(ROOT), "--no-deps"]
-    subprocess.run(
-        [*command, "--no-build-isolation", "-q", "-w", str(folder)], check=True,
-        env={**os.environ, "CC": quick_compiler(folder, other)},
-    )  # fmt: skip
+    log = subprocess.run(
+        [*command, "--no-build-isolation", "-v", "-w", str(folder)], check=True,
+        env={**os.environ, "CC": quick_compiler(folder, other)}, capture_output=True, text=True,
+    ).stderr  # fmt: skip
+    files = len(list(compiler.SOURCES.rglob("*.c")))
+    assert f"compiles {4 * files} objects: {files} C files" in log
+    assert "compiled in " in log
     (wheel,) = folder.glob("*.whl")
     assert wheel.name.endswith("-linux_x86_64.whl")
     with zipfile.ZipFile(wheel) as file:

@@ -165,17 +165,6 @@ INLINE int32_t walk(const Walk *v, int64_t i, int64_t outcome, int changed, int 
    columns of a square that are 2^B apart, the two squares beside its diagonal. */
 #define KEPT(j, B) ((j) >> (B) & 1 ? WIDTH + ((j) ^ (1 << (B))) : (j))
 #define GIVEN(j, B) ((j) >> (B) & 1 ? WIDTH + (j) : ((j) ^ (1 << (B))))
-#ifdef REAL_IS_FLOAT
-#define SHUFFLED(a, b, which, B)                                                                   \
-  __builtin_shufflevector(a, b, which(0, B), which(1, B), which(2, B), which(3, B), which(4, B),   \
-                          which(5, B), which(6, B), which(7, B), which(8, B), which(9, B),         \
-                          which(10, B), which(11, B), which(12, B), which(13, B), which(14, B),    \
-                          which(15, B))
-#else
-#define SHUFFLED(a, b, which, B)                                                                   \
-  __builtin_shufflevector(a, b, which(0, B), which(1, B), which(2, B), which(3, B), which(4, B),   \
-                          which(5, B), which(6, B), which(7, B))
-#endif
 #define SWAPPED(v, rows, B)                                    \
   UNROLLED for (int r = 0; r < (rows); r++) {                  \
     if (r >> (B) & 1) continue;                                \
@@ -187,17 +176,21 @@ INLINE int32_t walk(const Walk *v, int64_t i, int64_t outcome, int changed, int 
 /* Of two halves of vectors, each a square of its own, rows become columns. */
 INLINE void transpose_halves(vec *v, int rows) {
   SWAPPED(v, rows, 0)
+#if WIDTH > 4
   SWAPPED(v, rows, 1)
-#ifdef REAL_IS_FLOAT
+#endif
+#if WIDTH > 8
   SWAPPED(v, rows, 2)
 #endif
 }
 INLINE void transpose(vec *v) {
   transpose_halves(v, WIDTH);
-#ifdef REAL_IS_FLOAT
+#if WIDTH == 16
   SWAPPED(v, WIDTH, 3)
-#else
+#elif WIDTH == 8
   SWAPPED(v, WIDTH, 2)
+#else
+  SWAPPED(v, WIDTH, 1)
 #endif
 }
 

@@ -4,7 +4,7 @@
 
 EXPORT_STRUCT(Machine)
 EXPORT_CONSTANTS(machine_limits, MOST_FEATURES, MOST_OUTPUTS)
-EXPORT_CONSTANTS(vector, BYTES)
+EXPORT_CONSTANTS(blocks, BLOCK_BYTES)
 
 typedef struct {
   Machine f;

@@ -3,7 +3,7 @@
 #include "real.h"
 
 typedef struct {
-  const real *centres; /* (d, m) sqrt(gamma log2 e) times the centres, m filled up to WIDTH */
+  const real *centres; /* (d, m) sqrt(gamma log2 e) times the centres, m filled up to BLOCK */
   const real *weights; /* (k, m), 0 where filled up */
   const real *bias;    /* (k,) */
   real scale;          /* sqrt(gamma log2 e) */
@@ -26,12 +26,13 @@ typedef struct {
    order however many come. */
 INLINE void machine_tile(const Machine *f, const real at[TILE][MOST_FEATURES], int rows, int outputs,
                          int features, real (*values)[TILE], real *nearest) {
-  vec total[MOST_OUTPUTS][TILE], near[TILE];
-  UNROLLED for (int r = 0; r < TILE; r++) {
-    for (int o = 0; o < outputs; o++) total[o][r] = vec_of(0);
-    near[r] = vec_of((real)INFINITY);
+  vec total[MOST_OUTPUTS][TILE][VECTORS], near[TILE][VECTORS];
+  UNROLLED for (int r = 0; r < TILE; r++) UNROLLED for (int v = 0; v < VECTORS; v++) {
+    for (int o = 0; o < outputs; o++) total[o][r][v] = vec_of(0);
+    near[r][v] = vec_of((real)INFINITY);
   }
-  for (int64_t j = 0; j < f->m; j += WIDTH) {
+  for (int64_t block = 0; block < f->m; block += BLOCK) UNROLLED for (int v = 0; v < VECTORS; v++) {
+    int64_t j = block + v * WIDTH;
     vec distance[TILE];
     UNROLLED for (int r = 0; r < rows; r++) distance[r] = vec_of(0);
     for (int i = 0; i < features; i++) {
@@ -41,11 +42,11 @@ INLINE void machine_tile(const Machine *f, const real at[TILE][MOST_FEATURES], i
         distance[r] = vec_fma(gap, gap, distance[r]);
       }
     }
-    UNROLLED for (int r = 0; r < rows; r++) near[r] = vec_min(near[r], distance[r]);
+    UNROLLED for (int r = 0; r < rows; r++) near[r][v] = vec_min(near[r][v], distance[r]);
     exp2_minus(distance, rows);
     for (int o = 0; o < outputs; o++) {
       vec w = load(f->weights + o * f->m + j);
-      UNROLLED for (int r = 0; r < rows; r++) total[o][r] = vec_fma(w, distance[r], total[o][r]);
+      UNROLLED for (int r = 0; r < rows; r++) total[o][r][v] = vec_fma(w, distance[r], total[o][r][v]);
     }
   }
   for (int o = 0; o < outputs; o++) sums(total[o], values[o]);

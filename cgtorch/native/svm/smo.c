@@ -203,7 +203,7 @@ static int64_t choose(const Problems *p, double high, double low, Memory *m, int
     live += score > -INFINITY;
     *near += score > close;
   }
-  int64_t want = *near + *near / 4 + WIDTH;
+  int64_t want = *near + *near / 4 + BLOCK;
   want = want < SMALLEST_SET ? SMALLEST_SET : want > LARGEST_SET ? LARGEST_SET : want;
   want = want < live ? want : live;
   memcpy(m->sorted, m->score, (size_t)p->n * sizeof(double));

@@ -7,30 +7,30 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parent.parent
+from command_line import ROOT, Shell
+
 PAGE = ROOT / "docs" / "tutorial.md"
 SHORT = "--target 0.6 --practice 8 --attempts 12 --generations 40"
 
 
-def ran(words: list[str], folder: Path) -> str:
-    """What a command of the page prints, run as it stands there."""
-    name, *rest = words
-    module = name if name == "python" else f"cgtorch.commands.{name.removeprefix('cgtorch-')}"
-    start = [sys.executable] if name == "python" else [sys.executable, "-m", module]
-    short = shlex.split(SHORT) if name == "cgtorch-train" else []
+def ran(line: str, folder: Path, shell: Shell) -> str:
+    """What a line of the page prints, run as it stands there; Python in a process of its own."""
+    name, *rest = shlex.split(line)
+    if name != "python":
+        return shell.does(name, *rest, *(shlex.split(SHORT) if name == "cgtorch-train" else [])).out
     ended = subprocess.run(
-        [*start, *rest, *short],
+        [sys.executable, *rest],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
         check=False,
     )
-    assert ended.returncode == 0, f"{shlex.join(words)}\n{ended.stdout}\n{ended.stderr}"
+    assert ended.returncode == 0, f"{line}\n{ended.stdout}\n{ended.stderr}"
     return ended.stdout
 
 
-def test_the_tutorial(tmp_path: Path) -> None:
+def test_the_tutorial(tmp_path: Path, shell: Shell) -> None:
     text = PAGE.read_text()
     files = dict(re.findall(r"^```python\n# (\w+\.py)\n(.*?)^```", text, re.M | re.S))
     assert set(files) == {"puck.py", "try_puck.py", "windy.py"}
@@ -39,7 +39,7 @@ def test_the_tutorial(tmp_path: Path) -> None:
     lines = [
         line.strip() for line in text.splitlines() if re.match(r"    (cgtorch-|python )", line)
     ]
-    printed = {line: ran(shlex.split(line), tmp_path) for line in lines}
+    printed = {line: ran(line, tmp_path, shell) for line in lines}
     assert re.fullmatch(
         r"tensor\(\[(?:\s*(?:True|False),?){3}\]\)\n", printed["python try_puck.py"]
     )
