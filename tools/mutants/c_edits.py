@@ -18,9 +18,8 @@ _OPERATOR = re.compile(
 )
 _NUMBER = re.compile(r"(?<![\w.])(\d+\.\d+|\d+)(?![\w.])")
 _NEGATION = re.compile(r"(?<![\w)\]])(!|~|-)(?=[\w(])")
-_STATEMENT = re.compile(
-    r"(?<=^)(\s+)(?!return|goto|break|continue|\w+ \*?\w+[ ;\[]|const )(\S.*;)$"
-)
+_DECLARED = r"\w+ \*?\w+[ ;\[]|const "
+_STATEMENT = re.compile(rf"^\s++(?!return|goto|break|continue|for \(|{_DECLARED})([^{{]*;)$")
 _LEAVE = re.compile(r"\b(break|continue)(?=;)")
 _STEP = re.compile(r"(\+\+|--)")
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*|\"(?:[^\"\\\n]|\\.)*\"", re.DOTALL)
