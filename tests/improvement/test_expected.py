@@ -108,8 +108,12 @@ def test_it_ends_once_the_target_is_surely_reached() -> None:
 
 def test_it_ends_after_its_generations_and_when_the_time_is_over() -> None:
     told: list[Event] = []
+    began = time.perf_counter()
     searched(setup_of(told.append, budget=Budget(4), attempts=3))
     assert len(of_kind(told, GenerationDone)) == 12
+    seconds = [each.seconds for each in of_kind(told, GenerationDone)]
+    assert min(seconds) > 0
+    assert sum(seconds) < time.perf_counter() - began
     late = Purse(until=time.monotonic())
     told.clear()
     assert searched(setup_of(told.append, purse=late)).skill is not None
@@ -133,7 +137,8 @@ def test_it_is_the_same_after_an_interruption(
 ) -> None:
     """With all that was held, beaten and tuned until then."""
     before, whole = replace(BEFORE, skill=skill), list[Event]()
-    wanted = searched(setup_of(whole.append), before)
+    few: dict[str, Any] = {"budget": Budget(number + 5)}
+    wanted = searched(setup_of(whole.append, **few), before)
     met, again = 0, list[Event]()
 
     def stop(event: Event) -> None:
@@ -143,14 +148,15 @@ def test_it_is_the_same_after_an_interruption(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt), FileJournal(tmp_path, seconds=0) as journal:
-        searched(setup_of(stop, journal=journal), before)
+        searched(setup_of(stop, journal=journal, **few), before)
     with FileJournal(tmp_path) as journal:
-        found = searched(setup_of(again.append, journal=journal), before)
+        found = searched(setup_of(again.append, journal=journal, **few), before)
     assert found.skill is not None
     assert wanted.skill is not None
     assert same(found.skill.graph, wanted.skill.graph)
     (recalled,) = of_kind(again, EvolutionRecalled)
     assert recalled.found.generations == number - 1
+    assert (recalled.found.best, recalled.found.since) == (-torch.inf, 0)
     rest = of_kind(whole, GenerationDone)[number - 1 :]
     own = of_kind(again, GenerationDone)
     assert [e.generation.best for e in own] == [e.generation.best for e in rest]
