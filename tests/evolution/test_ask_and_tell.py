@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import safetensors.torch
 import torch
 from support import same, same_individuals, seeded
 from torch import Tensor
@@ -67,6 +68,12 @@ def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
     (tmp_path / "b").write_bytes((tmp_path / "a").read_bytes()[:-100])
     with pytest.raises(RunError, match="damaged"):
         Search.load(tmp_path / "b", ACTIONS, population=12)
+    tensors = safetensors.torch.load_file(tmp_path / "a")
+    for generation in (-1.0, 2.0**53, torch.nan):
+        numbers = torch.tensor([generation, 0.0], dtype=torch.float64)
+        safetensors.torch.save_file({**tensors, "numbers": numbers}, tmp_path / "c")
+        with pytest.raises(RunError, match=r"c' has had .* generations; it is damaged"):
+            Search.load(tmp_path / "c", ACTIONS, population=12)
     with pytest.raises(RunError, match="none"):
         Search.load(tmp_path / "none", ACTIONS, population=12)
     with pytest.raises(DataError, match=r"give a tensor \(12,\)"):

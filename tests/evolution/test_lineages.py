@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import lottery
 import pytest
 import torch
 from support import custom_actions, model, seeded
@@ -78,6 +79,14 @@ def test_lineages_keep_their_structure_and_change_only_parameters_of_nodes() -> 
         assert same_place[:, ~where].all()
         assert not same_place[:, where].any()
     assert begin == len(drawn)
+
+
+def test_only_what_a_node_uses_is_tuned() -> None:
+    staked, nothing = lottery.staking(0.3).graph, lottery.idle().graph
+    assert tunable(staked, lottery.ACTIONS).tolist() == [[True, True]]
+    assert tunable(nothing, lottery.ACTIONS).tolist() == [[False, False]]
+    free = replace(staked, action=torch.full((1, 1), -1))
+    assert not tunable(free, lottery.ACTIONS).any()
 
 
 def evaluated(fitness: Tensor, count: int = 0) -> Evaluated:

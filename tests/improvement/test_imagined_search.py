@@ -126,7 +126,9 @@ def test_the_search_in_models_wants_the_same_and_plays_what_is_imagined(begun: S
     inner = search_of(satisfied=8.0).in_models(begun.known)
     assert inner.setup.budget.satisfied == 8
     values = inner.fresh.of_skills([told_skill(GOOD)], 60, seeded(1))[0]
-    assert torch.equal(values, search_of().imagined(GOOD, begun.known.world(60, HORIZON, seeded(1))))
+    assert torch.equal(
+        values, search_of().imagined(GOOD, begun.known.world(60, HORIZON, seeded(1)))
+    )
 
 
 def test_a_graph_promises_a_mean_with_an_error_on_fresh_episodes(begun: State) -> None:

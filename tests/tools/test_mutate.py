@@ -21,7 +21,7 @@ def f(x: int = 3, *, dim: int = 0) -> bool:
     """Text 5."""
     if x < 2 and not any(x):  # < in a comment
         raise ValueError(f"{x + 1}")
-    for y in x:
+    for y in zip(x, strict=True):
         x.y += max(y, key=1, default=-z)
         continue
     return x is not None

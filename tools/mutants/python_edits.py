@@ -120,12 +120,18 @@ class _Finder(ast.NodeVisitor):
             self.found.append(Edit(end - len(name), end, NAMES[name]))
         for word in node.keywords:
             start, end = self.place(word)
+            if word.arg == "strict":
+                continue
             if word.arg and (comma := re.match(rb"\s*,\s*", self.source[end:])):
                 self.found.append(Edit(start, end + comma.end(), ""))
             elif word.arg:
                 before = re.search(rb"(,\s*)?$", self.source[:start])
                 self.found.append(Edit(before.start() if before else start, end, ""))
         self.generic_visit(node)
+
+    def visit_keyword(self, node: ast.keyword) -> None:
+        if node.arg != "strict":  # of zip, which is an assertion
+            self.generic_visit(node)
 
     def visit_condition(self, node: ast.If | ast.IfExp | ast.While) -> None:
         if isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
