@@ -1,15 +1,18 @@
 #!/bin/sh
-# A C compiler that does not optimise, and that compiles no text twice: a mutant changes one file.
+# A C compiler that hardly optimises, and that compiles no text twice: a mutant changes one file.
+# The last two arguments of a compilation are -o and the object.
 set -e
-for last; do :; done
 case "$*" in
 *" -c "*)
+    count=$#
+    for last; do
+        shift
+        [ $count -gt 2 ] && set -- "$@" "$last"
+        count=$((count - 1))
+    done
+    set -- "$@" -O1
     mkdir -p "$MUTANTS_OBJECTS"
-    set -- "$@" -O0 -Dalways_inline=unused
-    text=$(mktemp)
-    cc "$@" -E -P -o "$text"
-    kept=$MUTANTS_OBJECTS/$(cat "$text" | sha256sum | cut -d ' ' -f 1).o
-    rm "$text"
+    kept=$MUTANTS_OBJECTS/$(cc "$@" -E -P | cat - "$0" | sha256sum | cut -d ' ' -f 1).o
     if ! [ -e "$kept" ]; then
         cc "$@" -o "$kept.$$"
         mv "$kept.$$" "$kept"

@@ -3,7 +3,7 @@
 import os
 import signal
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +14,8 @@ from mutants.workshop import Workshop
 
 FACTOR, START = 4, 5.0
 """A test takes too long if it takes this many times its usual time, and seconds more."""
+SLOWER = 3
+"""By how much C is slower that is hardly optimised."""
 NOT_COMPILED = 77
 
 
@@ -40,6 +42,8 @@ def tried(shop: Workshop, mutant: Mutant, tests: list[Recording]) -> Trial:
     verdict = shop.work / "verdict"
     verdict.write_text("")
     compiled = not mutant.file.endswith(".py")
+    if compiled:
+        tests = [replace(test, seconds=SLOWER * test.seconds) for test in tests]
     wall = 60 + WAITING * FACTOR * sum(test.seconds for test in tests) + 300 * compiled
     with shop.changed(mutant.file, mutant.edit.applied(source)):
         code = shop.forked(lambda: _run(shop, tests, compiled, verdict), wall)
