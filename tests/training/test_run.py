@@ -21,6 +21,7 @@ from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 
 SMALL: dict[str, Any] = {"population": 40, "generations": 10, "practice": 10}
 CART = Path(__file__).parents[2] / "examples" / "cart.py"
+REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +70,32 @@ def test_a_run_tells_all_that_it_has(whole: cgtorch.Run, tmp_path: Path) -> None
     run.report(tmp_path / "page.html")
     assert b"auto-1" in (tmp_path / "page.html").read_bytes()
     assert run.log()[0]["event"] == "asked"
+
+
+def test_the_reference_run_tells_all_that_it_has() -> None:
+    run = cgtorch.open_run(REFERENCE)
+    assert list(run.skills) == [row["stage"] for row in run.ledger] == list(run.stages)
+    assert {row["event"] for row in run.ledger} == {"accepted"}
+    last = run.skills[run.stages[-1]]
+    assert torch.equal(run.skill.graph.parameters, last.graph.parameters)
+    one, other = run.evaluate(20, seed=1), run.evaluate(20, seed=2)
+    assert torch.equal(one.succeeded, run.evaluate(20, run.kind, 1, last).succeeded)
+    assert not torch.equal(one.percepts, other.percepts)
+    assert run.evaluate(20, "near", 1).successes >= 15
+    first = run.evaluate(20, "perimeter", 1, run.skills["S0"])
+    assert first.successes < run.evaluate(20, "perimeter", 1).successes
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_progress_is_shown_unless_it_is_not_wanted(
+    quiet: bool, cart: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    about: dict[str, Any] = {**SMALL, "rounds": 1, "watch": lambda event: True, "quiet": quiet}
+    run = cgtorch.train(cart.Cart, folder, **about)
+    assert bool("".join(capfd.readouterr())) is not quiet
+    run.resume(quiet=quiet, watch=lambda event: True)
+    assert bool("".join(capfd.readouterr())) is not quiet
 
 
 def test_a_domain_is_an_object_a_class_or_a_name(cart: Any, tmp_path: Path) -> None:
