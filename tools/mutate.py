@@ -9,6 +9,7 @@ no test can notice belongs in `tools/mutants/equivalent.json`, with a line that 
 leaves it out.
 """
 
+import functools
 import json
 import os
 import signal
@@ -21,7 +22,7 @@ from pathlib import Path
 os.environ["OMP_NUM_THREADS"] = "1"  # threads do not survive a fork
 
 import click
-from mutants.closest import closest
+from mutants.closest import Recorded, closest
 from mutants.drawn import Mutant, drawn, rooms
 from mutants.recording import recorded
 from mutants.trials import Trial, tried
@@ -91,21 +92,21 @@ def tried_in(
     cache: Path,
 ) -> None:  # fmt: skip
     """Try `count` mutants of a room that compile and are not known to be equivalent."""
+    recordings = functools.cache(partial(recorded, shop, cache=cache))
     for mutant in drawn(shop.root, tally.room, tally.seed):
         if len(tally.trials) == count:
             return
         if (mutant.file, mutant.old, mutant.new) in known:
             tally.equivalent += 1
             continue
-        trial = trial_of(shop, mutant, seconds, cache)
+        trial = trial_of(shop, mutant, seconds, recordings)
         if trial.killed is not None:
             tally.trials.append(trial)
             told(tally, trial)
 
 
-def trial_of(shop: Workshop, mutant: Mutant, seconds: float, cache: Path) -> Trial:
+def trial_of(shop: Workshop, mutant: Mutant, seconds: float, recordings: Recorded) -> Trial:
     """A trial with the closest tests; without any, the mutant survives."""
-    recordings = partial(recorded, shop, cache=cache)
     tests = closest(shop.root, mutant.file, mutant.line, recordings, seconds)
     return tried(shop, mutant, tests) if tests else Trial(mutant, False, "no test", 0)
 
