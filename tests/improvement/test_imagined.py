@@ -28,6 +28,7 @@ from cgtorch.improvement.imagined import improve_imagined
 from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT
 from cgtorch.improvement.played import OneEpisode, tried_out
 from cgtorch.improvement.setup import Budget, Progress, Setup
+from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.journal import FileJournal
 from cgtorch.simulation import rollout
 
@@ -54,12 +55,15 @@ def setup_of(watch: Callable[[Event], Any], **others: Any) -> Setup[Places]:
 
 
 def searched(
-    setup: Setup[Places], before: Progress[Places] = BEFORE, kind: type[CartModels] = CartModels
+    setup: Setup[Places],
+    before: Progress[Places] = BEFORE,
+    kind: type[CartModels] = CartModels,
+    tests: Places = NOTHING,
 ) -> Progress[Places]:
     def draw(count: int, generator: Any) -> Places:
         return DOMAIN.draw("any", count, generator)
 
-    return improve_imagined(setup, before, NOTHING, draw, kind(DOMAIN))
+    return improve_imagined(setup, before, tests, draw, kind(DOMAIN))
 
 
 def mean_return(skill: Skill | None) -> float:
@@ -103,8 +107,15 @@ def test_it_ends_with_its_budget_and_its_time_and_keeps_a_skill() -> None:
 
     hopeless = Budget(60, satisfied=1e6)
     began = time.perf_counter()
-    after = searched(setup_of(watch, purse=late, budget=hopeless))
+    tests = DOMAIN.draw("any", 5, seeded(7))
+    after = searched(setup_of(watch, purse=late, budget=hopeless), tests=tests)
     assert after.skill is not None
+    (accepted,) = of_kind(told, SkillAccepted)
+    assert accepted.skill is after.skill
+    assert torch.equal(accepted.succeeded, try_skill(after.skill, DOMAIN.world(tests)).succeeded)
+    assert (accepted.keep.any(), accepted.targets.all(), accepted.parent) == (False, True, None)
+    assert after.specialists is not None
+    assert same(after.specialists.graphs, after.skill.graph)
     (done,) = of_kind(told, GenerationDone)
     assert 0 < done.seconds < time.perf_counter() - began
     told.clear()
