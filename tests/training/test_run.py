@@ -16,7 +16,7 @@ from driven_cart import CartDriver
 import cgtorch
 from cgtorch.commands.train import command
 from cgtorch.graphs import merged
-from cgtorch.ground.errors import CgtorchError, DomainError, SettingsError
+from cgtorch.ground.errors import CgtorchError, DomainError, RunError, SettingsError
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 
 SMALL: dict[str, Any] = {"population": 40, "generations": 10, "practice": 10}
@@ -147,6 +147,14 @@ def test_a_watch_sees_champions_and_may_stop_a_run_which_resumes(
     run = run.resume(quiet=True, watch=lambda event: told.append(event) or "only True stops")
     assert any(isinstance(event, SkillAccepted) for event in told)
     assert torch.equal(run.skill.graph.parameters, whole.skill.graph.parameters)
+
+
+def test_a_run_that_has_just_begun_has_no_skill(tmp_path: Path) -> None:
+    about: dict[str, Any] = {"stage": "S0", "quiet": True, "watch": lambda event: True}
+    run = cgtorch.train("tabletop", tmp_path / "run", **about)
+    assert run.skills == {}
+    with pytest.raises(RunError, match="has no skill yet; resume it"):
+        _ = run.skill
 
 
 def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """What is asked of a training, and what a run that goes on tells of its changes."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -7,8 +8,9 @@ import pytest
 import torch
 from support import create_run
 
+import cgtorch
 from cgtorch.ground.asked import NAMES, Purse
-from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.runs.journal import TakenOver
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.stored_run import StoredRun
@@ -18,7 +20,12 @@ from cgtorch.training.session import (
     _changes,
     _earlier_stages,
     _one_thread_each,
+    continued,
+    prepared,
+    resumed,
 )
+
+REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 
 
 def test_a_goal_asks_for_rounds_unless_a_stage_is_given() -> None:
@@ -88,3 +95,38 @@ def test_torch_has_one_thread_for_a_while() -> None:
     with _one_thread_each():
         assert torch.get_num_threads() == 1
     assert torch.get_num_threads() == 2
+
+
+def test_a_goal_is_for_rounds(run: StoredRun) -> None:
+    request = TrainingRequest("S1", {"target": 0.9})
+    with pytest.raises(SettingsError, match="target, minutes and rounds are for stage 'auto'"):
+        prepared(run, run.settings, request)
+    work = prepared(run, run.settings, TrainingRequest("auto", {"target": 0.9, "rounds": 2}))
+    assert (work.stage, work.auto, work.new) == ("auto", True, True)
+    assert (work.goal.target, work.goal.rounds) == (0.9, 2)
+    again = prepared(run, run.settings, TrainingRequest(goal={"rounds": 3}, budget={"motions": 4}))
+    assert (again.stage, again.goal.target, again.goal.rounds) == ("auto", 0.9, 3)
+    assert again.purse.limits == {"motions": 4}
+    stage = prepared(run, run.settings, TrainingRequest("S1"))
+    assert (stage.stage, stage.auto, stage.goal) == ("S1", False, Goal())
+    assert prepared(run, run.settings, TrainingRequest()).stage == "S1"
+
+
+def test_a_run_without_data_cannot_go_on() -> None:
+    run = cgtorch.open_run(REFERENCE)
+    with pytest.raises(RunError, match="is stored without its data and models"):
+        resumed(run, {}, {})
+
+
+def test_a_run_goes_on_under_its_settings_or_those_that_replace_them(run: StoredRun) -> None:
+    assert resumed(run, {}, {}) == run.settings
+    assert resumed(run, {"seed": run.settings.seed}, {"practice": 7}).practice == 7
+    with pytest.raises(SettingsError, match="leave it out"):
+        resumed(run, {"seed": 5}, {})
+    with continued(run):
+        pass
+    about = json.loads((run.folder / "run.json").read_text())
+    about["settings"]["practice"] = 77
+    (run.folder / "run.json").write_text(json.dumps(about))
+    with pytest.raises(RunError, match="has other settings by now; open it again"), continued(run):
+        pass
