@@ -218,6 +218,7 @@ def test_new_nodes_of_an_action_begin_as_it_says() -> None:
     rows = torch.arange(200)
     made = offspring(parents, rows[:0], rows, actions, seeded(1), 12, tau=1e-9).graphs
     of_own = made.parameters[made.action == actions.index("Own")][:, :3]
-    new = (of_own == torch.tensor([5.0, 6.0, 7.0])).all(1)
+    new = of_own.mean(1) > 3  # the old ones begin at 0, and all are perturbed
     assert 0 < new.sum() < len(new) / 2
-    assert (of_own[~new].abs() < 4).all()
+    for kind, wanted in ((new, [5.0, 6.0, 7.0]), (~new, [0.0, 0.0, 0.0])):
+        assert torch.allclose(of_own[kind].median(0).values, torch.tensor(wanted), atol=0.5)
