@@ -62,6 +62,13 @@ def test_on_disk_and_back_it_goes_on_with_the_same_bits(
     assert same_individuals(again.best, search.best)
 
 
+def test_whole_numbers_are_a_fitness_too() -> None:
+    search = Search(ACTIONS, population=12, lineages=2)
+    search.tell(list(range(12)))
+    search.tell([3] * len(search.ask()))
+    assert search.best_fitness == 11
+
+
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
     search = Search(ACTIONS, population=12)
     search.save(tmp_path / "a")

@@ -8,7 +8,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import custom_actions, nested_actions, seeded
+from support import custom_actions, nested_actions, same, seeded
 from torch import Generator, Tensor
 from walking import chain
 
@@ -154,6 +154,12 @@ def test_tensors_of_other_shapes_types_or_numbers_are_no_population(bad: dict[st
 
 def kinds(graphs: Graphs) -> list[tuple[int, ...]]:
     return [tuple(sorted(x for x in row if x >= 0)) for row in graphs.action.tolist()]
+
+
+def test_a_seed_says_which_varied_graphs_there_are() -> None:
+    one, again, other = (varied_graphs(20, ACTIONS, 8, (2, 5), seeded(s)) for s in (0, 0, 1))
+    assert same(one, again)
+    assert not same(one, other)
 
 
 def test_small_populations_have_all_pairs_that_act_equally_often_and_nothing_else() -> None:
