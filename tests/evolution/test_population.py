@@ -136,6 +136,7 @@ def test_seeds_that_do_not_fit_are_refused() -> None:
         {"strategy": torch.zeros(3, len(STRATEGY), dtype=torch.float64)},
         {"strategy": torch.zeros(2, len(STRATEGY))},
         {"strategy": torch.full((3, len(STRATEGY)), torch.nan)},
+        {"start": "one"},
         {"parameters": "inf"},
         {"parameters": "double"},
     ],
@@ -146,7 +147,8 @@ def test_tensors_of_other_shapes_types_or_numbers_are_no_population(bad: dict[st
     again = population_from(tensors, ACTIONS)
     assert all(again.graphs.__dict__[name] is tensors[name] for name in vars(made.graphs))
     some = made.graphs.parameters
-    odd = {"inf": some + torch.inf, "double": some.double()}
+    one = torch.where(torch.arange(3) == 1, 5, made.graphs.start)
+    odd = {"inf": some + torch.inf, "double": some.double(), "one": one}
     wrong = {name: odd[x] if isinstance(x, str) else x for name, x in bad.items()}
     with pytest.raises(GraphError, match="not those of valid graphs; restore the file"):
         population_from({**tensors, **wrong}, ACTIONS)
