@@ -20,7 +20,7 @@ from cgtorch.evolution.operators_in_torch import (
     with_origins,
 )
 from cgtorch.evolution.population import TAU
-from cgtorch.graphs import NO_NODE, Graphs, compacted
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs, compacted
 from cgtorch.tabletop.actions import Detect
 
 ACTIONS = custom_actions()
@@ -210,7 +210,7 @@ class Own(Detect):
 
 
 def test_new_nodes_of_an_action_begin_as_it_says() -> None:
-    actions = ACTIONS.extended(["Own"], [Own()])
+    actions = ActionSet(("Own", *ACTIONS.names), (Own(), *ACTIONS.actions))
     graphs = random_graphs(0, 200, actions, capacity=12, nodes=(2, 9))
     parents = Population(
         replace(graphs, parameters=torch.zeros_like(graphs.parameters)), initial_strategy(200)
