@@ -25,11 +25,14 @@ def test_each_rank_of_a_machine_has_its_own_gpu(monkeypatch: pytest.MonkeyPatch)
         device_named("cuda")
 
 
-def test_the_one_that_is_asked_for_is_used(tmp_path: Path) -> None:
+def test_the_one_that_is_asked_for_is_used(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     run = create_run(tmp_path / "run", RunSettings())
-    with ProgressDisplay(quiet=True) as display:
+    with ProgressDisplay(quiet=False) as display:
         assert device_for(run, "cpu", display) == torch.device("cpu")
         with pytest.raises(SettingsError, match="abacus"):
             device_for(run, "abacus", display)
         if not torch.cuda.is_available():
             assert device_for(run, "auto", display) == torch.device("cpu")
+            assert "device: " not in "".join(capfd.readouterr())  # there is no choice to tell

@@ -91,10 +91,10 @@ def test_progress_is_shown_unless_it_is_not_wanted(
     quiet: bool, cart: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "run"
-    about: dict[str, Any] = {**SMALL, "rounds": 1, "watch": lambda event: True, "quiet": quiet}
-    run = cgtorch.train(cart.Cart, folder, **about)
+    how: dict[str, Any] = {"watch": lambda event: True, **({"quiet": True} if quiet else {})}
+    run = cgtorch.train(cart.Cart, folder, **SMALL, rounds=1, **how)
     assert bool("".join(capfd.readouterr())) is not quiet
-    run.resume(quiet=quiet, watch=lambda event: True)
+    run.resume(**how)
     assert bool("".join(capfd.readouterr())) is not quiet
 
 

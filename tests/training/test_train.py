@@ -288,6 +288,9 @@ def test_a_stage_has_randomness_of_its_own() -> None:
     everything = {drawn(seed, stage) for seed in range(20) for stage in names}
     assert len(everything) == 20 * len(names)
     assert drawn(3, "S2") == drawn(3, "S2")
+    again = [stage_generator(TABLE, 3, "S2", failures).get_state() for failures in (0, 1)]
+    assert torch.equal(stage_generator(TABLE, 3, "S2").get_state(), again[0])
+    assert not torch.equal(*again)
     drawn(2**31 - 1, "S3")  # the largest seed that settings allow
 
 

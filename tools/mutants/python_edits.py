@@ -78,7 +78,8 @@ class _Finder(ast.NodeVisitor):
         text = isinstance(node.left, ast.JoinedStr) or isinstance(node.right, ast.JoinedStr)
         for side in (node.left, node.right):
             text |= isinstance(side, ast.Constant) and isinstance(side.value, str | bytes)
-        if type(node.op) in ARITHMETIC and not text:
+        numbers = isinstance(node.left, ast.Constant) and isinstance(node.right, ast.Constant)
+        if type(node.op) in ARITHMETIC and not text and (self.inside or not numbers):
             self.between(node.left, node.right, *ARITHMETIC[type(node.op)])
         self.generic_visit(node)
 
