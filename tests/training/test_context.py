@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import driven_cart
 import pytest
 import torch
 from reaching import TABLE
@@ -171,3 +172,10 @@ def test_without_models_each_scenario_has_its_replicas_beside_it_in_the_world() 
     seeds = [each for i in range(3) for copy in range(2)
              for each in scenarios.with_noise(copy).seed[i : i + 1].tolist()]  # fmt: skip
     assert world.scenarios.seed.tolist() == seeds
+
+
+def test_a_robot_is_improved_as_one(tmp_path: Path) -> None:
+    domain = driven_cart.cart(tmp_path / "log")
+    run = StoredRun(tmp_path / "run", RunSettings(), domain, domain.actions(), repeats=False)
+    setup = training_of(run).setup("auto-1")
+    assert (setup.live, setup.repeats, setup.remembers) == (True, False, False)
