@@ -35,7 +35,10 @@ from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
 from cgtorch.training import train as module
 from cgtorch.training.context import Training
+from cgtorch.training.evaluate import evaluate_skill
 from cgtorch.training.train import (
+    FRESH,
+    FRESH_SEED,
     NotImprovedError,
     Tally,
     stage_generator,
@@ -154,6 +157,17 @@ def test_draws_are_the_stages_own_and_always_the_same(make: Make, run: StoredRun
         drawn.append([method.given[0][2].seed.tolist() for method in methods])
     assert drawn[0] == drawn[1]
     assert not {*drawn[0][0]} & {*drawn[0][1]}
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_a_stage_tells_how_its_skill_does_on_fresh_scenarios_of_the_seed(
+    seed: int, make: Make, run: StoredRun
+) -> None:
+    settings = replace(SETTINGS, seed=seed)
+    *_, result = make(replace(run, settings=settings), Method(*ALL), Method(*ALL))
+    for name, kind in (("fresh", "left"), ("overall", TABLE.kinds[0])):
+        score = evaluate_skill(SKILL, TABLE, kind, FRESH, FRESH_SEED + seed)
+        assert (result[name]["succeeded"], result[name]["tried"]) == (score.successes, FRESH)
 
 
 COUNTS = "targets_succeeded", "targets", "earlier_failures", "earlier_failures_succeeded"
