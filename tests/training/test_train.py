@@ -27,6 +27,7 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.trial import first_percepts
+from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import StoredRun, round_name
@@ -157,6 +158,15 @@ def test_draws_are_the_stages_own_and_always_the_same(make: Make, run: StoredRun
         drawn.append([method.given[0][2].seed.tolist() for method in methods])
     assert drawn[0] == drawn[1]
     assert not {*drawn[0][0]} & {*drawn[0][1]}
+
+
+def test_what_happens_in_a_stage_is_told_and_logged(make: Make, run: StoredRun) -> None:
+    events: list[Event] = []
+    make(run, Method(*ALL), training=training_of(run, events))
+    assert [e.skill.name for e in events if isinstance(e, Practised)] == [SKILL.name]
+    assert [e.skill.name for e in events if isinstance(e, SkillAccepted)] == ["S0"]
+    logged = [row["event"] for row in read_log(run.folder)]
+    assert logged.count("accepted") == 1
 
 
 @pytest.mark.parametrize("seed", [0, 5])
