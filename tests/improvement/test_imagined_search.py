@@ -122,6 +122,17 @@ def test_what_is_wanted_of_an_episode_that_is_broken_off_is_less() -> None:
     assert search.wanted(2 * LIMIT) == 8
 
 
+class LongModels(GivenModels):
+    """Those of a world whose episodes take twice as many steps as imagined ones."""
+
+    most_steps = 2 * HORIZON
+
+
+def test_imagined_episodes_that_are_broken_off_need_less(begun: State) -> None:
+    inner = search_of(satisfied=8.0, kind=LongModels).in_models(begun.known)
+    assert inner.setup.budget.satisfied == 4
+
+
 def test_the_search_in_models_wants_the_same_and_plays_what_is_imagined(begun: State) -> None:
     inner = search_of(satisfied=8.0).in_models(begun.known)
     assert inner.setup.budget.satisfied == 8
