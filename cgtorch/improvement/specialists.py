@@ -18,7 +18,7 @@ from cgtorch.evolution import (
 )
 from cgtorch.evolution.ask_and_tell import restore
 from cgtorch.evolution.population import random_population, slim
-from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned
+from cgtorch.graphs import ActionSet, Graphs, pruned
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NOTHING, Asked
 from cgtorch.ground.environment import Environment, asked_of
@@ -226,13 +226,6 @@ def _without_each(graphs: Graphs) -> Graphs:
     gone, to = (x.flatten() for x in torch.meshgrid(used, used, indexing="ij"))
     gone, to = gone[gone != to], to[gone != to]
     many = graphs[torch.zeros_like(gone)]
-    slot = torch.arange(graphs.capacity) == gone[:, None]
     edges = torch.where(many.edges == gone[:, None, None], to[:, None, None], many.edges)
-    return pruned(
-        Graphs(
-            many.action.masked_fill(slot, NO_NODE),
-            edges.masked_fill(slot[..., None], NO_NODE),
-            many.parameters.masked_fill(slot[..., None], 0.0),
-            torch.where(many.start == gone, to, many.start),
-        )
-    )
+    start = torch.where(many.start == gone, to, many.start)
+    return pruned(replace(many, edges=edges, start=start))

@@ -158,7 +158,7 @@ def update(
     drawn = sampled(tuning.distribution, count, generator)
     graphs = with_parameters(tuning.graph, where, drawn)
     values, lengths = fresh.played(graphs, actions, fresh.world(tuning.scenarios, generator))
-    values = torch.nan_to_num(values, nan=WORST, neginf=WORST).clamp_min(WORST).double()
+    values = torch.nan_to_num(values, nan=WORST).clamp_min(WORST).double()
     worth = (values - tuning.toll * lengths).mean(1)
     distribution = updated(tuning.distribution, drawn, worth)
     better = values.mean(1).sort(descending=True).values[: max(1, count // 2)]

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import safetensors.torch
 import torch
 from support import same, same_individuals, seeded
 from torch import Tensor
@@ -61,12 +62,25 @@ def test_on_disk_and_back_it_goes_on_with_the_same_bits(
     assert same_individuals(again.best, search.best)
 
 
+def test_whole_numbers_are_a_fitness_too() -> None:
+    search = Search(ACTIONS, population=12, lineages=2)
+    search.tell(list(range(12)))
+    search.tell([3] * len(search.ask()))
+    assert search.best_fitness == 11
+
+
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
     search = Search(ACTIONS, population=12)
     search.save(tmp_path / "a")
     (tmp_path / "b").write_bytes((tmp_path / "a").read_bytes()[:-100])
     with pytest.raises(RunError, match="damaged"):
         Search.load(tmp_path / "b", ACTIONS, population=12)
+    tensors = safetensors.torch.load_file(tmp_path / "a")
+    for generation in (-1.0, 2.0**53, torch.nan):
+        numbers = torch.tensor([generation, 0.0], dtype=torch.float64)
+        safetensors.torch.save_file({**tensors, "numbers": numbers}, tmp_path / "c")
+        with pytest.raises(RunError, match=r"c' has had .* generations; it is damaged"):
+            Search.load(tmp_path / "c", ACTIONS, population=12)
     with pytest.raises(RunError, match="none"):
         Search.load(tmp_path / "none", ACTIONS, population=12)
     with pytest.raises(DataError, match=r"give a tensor \(12,\)"):

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -74,6 +75,63 @@ def test_only_the_order_of_fitness_counts(n: int, seed: int, scale: float) -> No
     assert one.step == two.step
     assert torch.allclose(one.covariance, one.covariance.T, rtol=1e-12)
     assert (torch.linalg.eigvalsh(one.covariance) > 0).all()
+
+
+def plainly(old: Distribution, x: Tensor, fitness: Tensor) -> Distribution:
+    """An update in numpy, in the notation of the tutorial, figure 6 and table 1."""
+    lam, n = x.shape
+    mu = lam // 2
+    w = np.array([math.log((lam + 1) / 2) - math.log(i) for i in range(1, mu + 1)])
+    w = w / w.sum()
+    mu_eff = w.sum() ** 2 / (w**2).sum()
+    c_sigma = (mu_eff + 2) / (n + mu_eff + 5)
+    d_sigma = 1 + 2 * max(0, math.sqrt((mu_eff - 1) / (n + 1)) - 1) + c_sigma
+    c_c = (4 + mu_eff / n) / (n + 4 + 2 * mu_eff / n)
+    separable = old.covariance.dim() == 1
+    faster = (n + 2) / 3 if separable else 1
+    c_1 = 2 / ((n + 1.3) ** 2 + mu_eff) * faster
+    c_1 = min(1, c_1)
+    c_mu = min(1 - c_1, 2 * (mu_eff - 2 + 1 / mu_eff) / ((n + 2) ** 2 + mu_eff) * faster)
+    chi = math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n**2))
+    C = old.covariance.numpy()
+    C = np.diag(C) if separable else C
+    best = np.argsort(-fitness.numpy(), kind="stable")[:mu]
+    y = (x.double().numpy()[best] - old.mean.numpy()) / old.step
+    y_w = sum(w[i] * y[i] for i in range(mu))
+    values, B = np.linalg.eigh(C)
+    root = B @ np.diag(values**-0.5) @ B.T
+    p_sigma = (1 - c_sigma) * old.step_path.numpy()
+    p_sigma = p_sigma + math.sqrt(c_sigma * (2 - c_sigma) * mu_eff) * root @ y_w
+    length = float(np.linalg.norm(p_sigma))
+    step = old.step * math.exp(min(1, c_sigma / d_sigma * (length / chi - 1)))
+    bound = (1.4 + 2 / (n + 1)) * chi
+    h = length / math.sqrt(1 - (1 - c_sigma) ** (2 * (old.updates + 1))) < bound
+    p_c = (1 - c_c) * old.path.numpy() + h * math.sqrt(c_c * (2 - c_c) * mu_eff) * y_w
+    delta = (1 - h) * c_c * (2 - c_c)
+    C = (1 + c_1 * delta - c_1 - c_mu) * C + c_1 * np.outer(p_c, p_c)
+    C = C + c_mu * sum(w[i] * np.outer(y[i], y[i]) for i in range(mu))
+    mean, path, step_path, C = map(torch.tensor, (
+        old.mean.numpy() + old.step * y_w, p_c, p_sigma, np.diag(C) if separable else C
+    ))  # fmt: skip
+    return Distribution(mean, step, C, path, step_path, old.updates + 1)
+
+
+@given(st.integers(1, 7), st.integers(0, 2**31), st.booleans(), st.sampled_from([0.1, 1.0, 9.0]))
+def test_an_update_is_that_of_the_tutorial(n: int, seed: int, full: bool, moved: float) -> None:
+    """After paths of any length, a long one of which stalls the rank-one update."""
+    generator = seeded(seed)
+    start = initial_distribution(torch.zeros(n), torch.rand(n, generator=generator) + 0.1, n * full)
+    path, step_path = (moved * torch.randn(n, generator=generator).double() for _ in range(2))
+    place, count = Distribution(start.mean, 0.7, start.covariance, path, step_path, seed % 9), n + 6
+    for _ in range(2):
+        x = sampled(place, count, generator)
+        fitness = torch.randn(count, generator=generator)
+        after, wanted = updated(place, x, fitness), plainly(place, x, fitness)
+        for name in ("mean", "covariance", "path", "step_path"):
+            assert torch.allclose(getattr(after, name), getattr(wanted, name), rtol=1e-6), name
+        assert after.step == pytest.approx(wanted.step)
+        assert after.updates == wanted.updates
+        place = after
 
 
 def test_updates_are_those_of_pycma() -> None:

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 from support import custom_actions, model, same_individuals, same_nodes, seeded
-from torch import Tensor
+from torch import Generator, Tensor
 
 from cgtorch.evolution import (
     EvolutionSettings,
@@ -162,3 +162,26 @@ def test_evolve_yields_generations_that_improve() -> None:
         sizes = g.population.graphs.num_nodes
         first = int((equal & (sizes == sizes[equal].min())).nonzero()[0])
         assert same_individuals(g.champion, g.population[first : first + 1])
+
+
+@pytest.mark.parametrize(("elite", "parents"), [(0, 30), (2, 28), (3, 28)])
+def test_there_are_as_many_parents_as_children_in_pairs(elite: int, parents: int) -> None:
+    asked: list[int] = []
+
+    def first(order: Tensor, scores: Tensor, count: int, generator: Generator) -> Tensor:
+        asked.append(count)
+        return order[:1].expand(count)
+
+    settings = replace(SETTINGS, elite=elite, selection=first)
+    state = initial_state(settings, ACTIONS, seeded(0))
+    after = tell(state, torch.rand(30, generator=seeded(2)), settings, ACTIONS, seeded(1))
+    assert asked == [parents]
+    assert len(after.population) == 30
+    assert after.distinct_parents == 1
+
+
+def test_episodes_of_an_evolution_have_a_limit() -> None:
+    for limit in (1, 3):
+        search = evolve(model(0, 4), ACTIONS, SETTINGS, seeded(0), max_transitions=limit)
+        transitions = [next(search).transitions for _ in range(2)]
+        assert all(30 * 4 * (limit - 1) < each <= 30 * 4 * limit for each in transitions)

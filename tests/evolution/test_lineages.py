@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import lottery
 import pytest
 import torch
 from support import custom_actions, model, seeded
@@ -18,12 +19,20 @@ from cgtorch.evolution import (
     tell,
     tournament,
 )
-from cgtorch.evolution.fitness import WORST
+from cgtorch.evolution.cma import usual_count
+from cgtorch.evolution.fitness import WORST, WORTHLESS
 from cgtorch.evolution.lineages import (
+    LEAST_PROGRESS,
+    LEAST_STEP,
+    MOST_UPDATES,
+    RECENT,
     RUNGS,
+    SEVERAL,
     STALL,
+    Lineage,
     after_samples,
     new_lineages,
+    one_of_each_kind_first,
     samples,
     successive_halving,
     tunable,
@@ -72,14 +81,153 @@ def test_lineages_keep_their_structure_and_change_only_parameters_of_nodes() -> 
     assert begin == len(drawn)
 
 
+def test_only_what_a_node_uses_is_tuned() -> None:
+    staked, nothing = lottery.staking(0.3).graph, lottery.idle().graph
+    assert tunable(staked, lottery.ACTIONS).tolist() == [[True, True]]
+    assert tunable(nothing, lottery.ACTIONS).tolist() == [[False, False]]
+    free = replace(staked, action=torch.full((1, 1), -1))
+    assert not tunable(free, lottery.ACTIONS).any()
+
+
+def evaluated(fitness: Tensor, count: int = 0) -> Evaluated:
+    """Random individuals with a fitness (P,), each on two scenarios of different scores."""
+    population = random_population(count or len(fitness), ACTIONS, 8, (2, 3), seeded(3))
+    return Evaluated(population, fitness, torch.stack([fitness - 1, fitness + 1], 1))
+
+
+def few_lineages(count: int) -> tuple[Lineage, ...]:
+    """Lineages of individuals in the order of their fitness, from 1 down."""
+    found = new_lineages(evaluated(torch.linspace(1, 0, 40)), ACTIONS, count)
+    assert len(found) == count
+    return found
+
+
 def test_one_of_each_kind_is_founded_first_and_none_unfinished() -> None:
-    population = random_population(40, ACTIONS, 8, (2, 3), seeded(3))
     fitness = torch.rand(40, generator=seeded(4))
     fitness[:20] = WORST
-    lineages = new_lineages(Evaluated(population, fitness, fitness[:, None]), ACTIONS, 6)
-    kinds = [tuple(sorted(x.best.graphs.action[0].tolist())) for x in lineages]
-    assert len(set(kinds[: len(set(kinds))])) == len(set(kinds))
-    assert all(x.fitness >= 0 for x in lineages)
+    fitness[20] = WORTHLESS * 0.99
+    everyone = evaluated(fitness)
+    lineages = new_lineages(everyone, ACTIONS, 40)
+    able = tunable_rows(everyone)
+    assert len(lineages) == len([row for row in able if row >= 20])
+    firsts = len({x.kind for x in lineages})
+    assert len({x.kind for x in lineages[:firsts]}) == firsts
+    for part in (lineages[:firsts], lineages[firsts:]):
+        values = [x.fitness for x in part]
+        assert values == sorted(values, reverse=True)
+    best: dict[tuple[int, ...], float] = {}
+    for each in lineages:
+        best[each.kind] = max(best.get(each.kind, -torch.inf), each.fitness)
+        assert each.scores.tolist() == pytest.approx([each.fitness - 1, each.fitness + 1])
+        used = each.best.graphs.action[0] >= 0
+        assert used.all()
+        steps = [ACTIONS.actions[a].first_step for a in each.best.graphs.action[0].tolist()]
+        many = ACTIONS.num_parameters[each.best.graphs.action[0]].tolist()
+        wanted = [s**2 for s, n in zip(steps, many, strict=True) for _ in range(n)]
+        variance = each.distribution.covariance
+        variance = variance.diagonal() if variance.dim() == 2 else variance
+        assert variance.tolist() == pytest.approx(wanted)
+    assert [x.fitness for x in lineages[:firsts]] == [best[x.kind] for x in lineages[:firsts]]
+
+
+def tunable_rows(everyone: Evaluated) -> list[int]:
+    graphs = everyone.population.graphs
+    return [i for i in range(len(everyone)) if tunable(graphs[i : i + 1], ACTIONS).any()]
+
+
+def test_other_kinds_are_looked_for_among_several_of_the_best_only() -> None:
+    everyone = evaluated(torch.zeros(200))
+    kinds: dict[tuple[int, ...], list[int]] = {}
+    for row in tunable_rows(everyone):
+        action = everyone.population.graphs.action[row]
+        kinds.setdefault(tuple(sorted(action[action >= 0].tolist())), []).append(row)
+    usual, rare = sorted(kinds.values(), key=len)[::-1][:2]
+    for same, expected in ((2 * SEVERAL - 1, 2), (2 * SEVERAL, 1)):
+        rows = torch.tensor([usual[i % len(usual)] for i in range(same)] + rare[:1])
+        fitness = torch.linspace(1, 0, len(rows))
+        chosen = Evaluated(everyone.population[rows], fitness, fitness[:, None])
+        lineages = new_lineages(chosen, ACTIONS, 2)
+        assert len({x.kind for x in lineages}) == expected
+        assert lineages[0].fitness == 1
+
+
+def test_a_lineage_is_over_at_each_of_its_limits_and_not_before() -> None:
+    (lineage,) = few_lineages(1)
+    assert not lineage.over
+    for about, limit in (("step", LEAST_STEP), ("updates", MOST_UPDATES)):
+        before, at = (limit, limit * 0.99) if about == "step" else (limit - 1, limit)
+        for value, over in ((before, False), (at, True)):
+            distribution = replace(lineage.distribution, **{about: value})
+            assert replace(lineage, distribution=distribution).over is over
+    assert not replace(lineage, since=STALL - 1).over
+    assert replace(lineage, since=STALL).over
+
+
+def after(lineage: Lineage, fitness: Tensor) -> Lineage:
+    """The lineage after samples with a fitness."""
+    drawn = samples([lineage], ACTIONS, seeded(1))
+    scores = torch.stack([fitness - 1, fitness + 1], 1)
+    (found,) = after_samples([lineage], Evaluated(drawn, fitness, scores), ACTIONS)
+    return found
+
+
+def test_a_lineage_keeps_its_best_and_the_mean_of_its_better_quarter() -> None:
+    (lineage,) = few_lineages(1)
+    assert lineage.recent_fitness == lineage.fitness
+    count = usual_count(len(lineage.distribution.mean))
+    fitness = torch.arange(count) / count - 3
+    same = after(lineage, fitness)
+    top = fitness[-(count // 4) :]
+    assert count // 4 > 1
+    assert same.recent == (pytest.approx(float(top.mean())),)
+    assert same.level == same.recent_fitness == same.recent[0]
+    assert (same.since, same.distribution.updates) == (0, 1)
+    assert same.best is lineage.best
+    assert after(replace(lineage, fitness=float(fitness[-1])), fitness).best is lineage.best
+    better = after(replace(lineage, fitness=float(fitness[-2])), fitness)
+    drawn = samples([lineage], ACTIONS, seeded(1))
+    nodes = better.best.graphs.num_nodes
+    assert torch.equal(
+        better.best.graphs.parameters[0, :nodes], drawn.graphs.parameters[-1, :nodes]
+    )
+    assert better.fitness == fitness[-1]
+    assert better.scores.tolist() == [fitness[-1] - 1, fitness[-1] + 1]
+    full = after(replace(lineage, recent=tuple(float(i) for i in range(RECENT))), fitness)
+    assert full.recent == (*(float(i) for i in range(1, RECENT)), same.recent[0])
+    assert full.recent_fitness == pytest.approx(sum(full.recent) / RECENT)
+
+
+@pytest.mark.parametrize("level", [-2.0, 2.0])
+def test_only_a_hundredth_more_is_progress(level: float) -> None:
+    (lineage,) = few_lineages(1)
+    count = usual_count(len(lineage.distribution.mean))
+    for more, since in ((0.9, 4), (1.1, 0)):
+        value = level + more * LEAST_PROGRESS * abs(level)
+        found = after(replace(lineage, level=level, since=3), torch.full((count,), value))
+        assert found.since == since
+        assert found.level == pytest.approx(level if since else value)
+
+
+def test_the_better_half_with_each_kind_first_stays_at_a_rung() -> None:
+    lineages = few_lineages(7)
+    twin = replace(lineages[0], fitness=lineages[0].fitness - 1e-6)
+    several = (twin, *lineages)
+    for updates in (RUNGS[0] - 1, *RUNGS, RUNGS[0] + 1):
+        at = [
+            replace(each, distribution=replace(each.distribution, updates=updates))
+            for each in several
+        ]
+        for count in (1, 4, 7, 8):
+            going, ended = successive_halving(at[:count])
+            if updates not in RUNGS:
+                assert (going, ended) == (tuple(at[:count]), ())
+                continue
+            best = one_of_each_kind_first(sorted(at[:count], key=lambda each: -each.fitness))
+            assert len(going) == (count + 1) // 2
+            assert {id(each) for each in going} == {id(x) for x in best[: (count + 1) // 2]}
+            assert {id(each) for each in (*going, *ended)} == {id(x) for x in at[:count]}
+    stalled = replace(lineages[1], since=STALL)
+    assert successive_halving([lineages[0], stalled]) == ((lineages[0],), (stalled,))
 
 
 def test_the_better_half_stays_after_each_rung_and_a_stalled_one_goes() -> None:

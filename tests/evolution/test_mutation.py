@@ -7,10 +7,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from support import custom_actions, random_graphs, same, seeded
-from torch import Tensor
+from torch import Generator, Tensor
 
 from cgtorch.evolution import STRATEGY, Population, initial_strategy
-from cgtorch.evolution.operators import mutate, perturb_parameters, with_new_origins
+from cgtorch.evolution.operators import mutate, offspring, perturb_parameters, with_new_origins
 from cgtorch.evolution.operators_in_torch import (
     add_node,
     change_edges,
@@ -20,7 +20,8 @@ from cgtorch.evolution.operators_in_torch import (
     with_origins,
 )
 from cgtorch.evolution.population import TAU
-from cgtorch.graphs import NO_NODE, Graphs, compacted
+from cgtorch.graphs import NO_NODE, ActionSet, Graphs, compacted
+from cgtorch.tabletop.actions import Detect
 
 ACTIONS = custom_actions()
 seeds = st.integers(0, 2**31)
@@ -197,3 +198,27 @@ def test_mutate_uses_each_individuals_own_rates() -> None:
             assert changed["start"]
         else:
             assert changed["edges"], name
+
+
+class Own(Detect):
+    """An action whose parameters begin at 5, 6 and 7."""
+
+    num_parameters = 3
+
+    def initial_parameters(self, count: int, generator: Generator) -> Tensor:
+        return torch.tensor([5.0, 6.0, 7.0]).repeat(count, 1)
+
+
+def test_new_nodes_of_an_action_begin_as_it_says() -> None:
+    actions = ActionSet(("Own", *ACTIONS.names), (Own(), *ACTIONS.actions))
+    graphs = random_graphs(0, 200, actions, capacity=12, nodes=(2, 9))
+    parents = Population(
+        replace(graphs, parameters=torch.zeros_like(graphs.parameters)), initial_strategy(200)
+    )
+    rows = torch.arange(200)
+    made = offspring(parents, rows[:0], rows, actions, seeded(1), 12, tau=1e-9).graphs
+    of_own = made.parameters[made.action == actions.index("Own")][:, :3]
+    new = of_own.mean(1) > 3  # the old ones begin at 0, and all are perturbed
+    assert 0 < new.sum() < len(new) / 2
+    for kind, wanted in ((new, [5.0, 6.0, 7.0]), (~new, [0.0, 0.0, 0.0])):
+        assert torch.allclose(of_own[kind].median(0).values, torch.tensor(wanted), atol=0.5)

@@ -188,6 +188,10 @@ def test_compiled_operators_run_here() -> None:
     assert not compiled.takes(graphs, graphs.parameters.half())
     large = random_population(2, SETS[0], 65, (1, 65), seeded(0)).graphs
     assert not compiled.takes(large, large.parameters)
+    nodes, outcomes = (constants("graph_limits")[n] for n in ("MOST_NODES", "MOST_OUTCOMES"))
+    assert compiled.within_limits(nodes, outcomes)
+    assert not compiled.within_limits(nodes + 1, outcomes)
+    assert not compiled.within_limits(nodes, outcomes + 1)
 
 
 @needs_compiler

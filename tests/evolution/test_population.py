@@ -1,13 +1,14 @@
 """First populations, random graphs of many kinds, choices, and how strategies drift (eq. 2)."""
 
 import math
+from typing import Any
 
 import networkx
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import custom_actions, nested_actions, seeded
+from support import custom_actions, nested_actions, same, seeded
 from torch import Generator, Tensor
 from walking import chain
 
@@ -21,6 +22,7 @@ from cgtorch.evolution.population import (
     factors,
     looping,
     occurrence,
+    population_from,
     random_graphs,
     random_population,
     seeded_population,
@@ -124,8 +126,42 @@ def test_seeds_that_do_not_fit_are_refused() -> None:
         seeded_population(10, big, ACTIONS, 6, (2, 6), seeded(0))
 
 
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"action": torch.zeros(3, 5, dtype=torch.int32)},
+        {"action": torch.zeros(0, 5, dtype=torch.long)},
+        {"edges": torch.zeros(3, 5, 1, dtype=torch.long)},
+        {"start": torch.full((3,), 5)},
+        {"strategy": torch.zeros(3, len(STRATEGY), dtype=torch.float64)},
+        {"strategy": torch.zeros(2, len(STRATEGY))},
+        {"strategy": torch.full((3, len(STRATEGY)), torch.nan)},
+        {"start": "one"},
+        {"parameters": "inf"},
+        {"parameters": "double"},
+    ],
+)
+def test_tensors_of_other_shapes_types_or_numbers_are_no_population(bad: dict[str, Any]) -> None:
+    made = random_population(3, ACTIONS, 5, (2, 5), seeded(0))
+    tensors = {**vars(made.graphs), "strategy": made.strategy}
+    again = population_from(tensors, ACTIONS)
+    assert all(again.graphs.__dict__[name] is tensors[name] for name in vars(made.graphs))
+    some = made.graphs.parameters
+    one = torch.where(torch.arange(3) == 1, 5, made.graphs.start)
+    odd = {"inf": some + torch.inf, "double": some.double(), "one": one}
+    wrong = {name: odd[x] if isinstance(x, str) else x for name, x in bad.items()}
+    with pytest.raises(GraphError, match="not those of valid graphs; restore the file"):
+        population_from({**tensors, **wrong}, ACTIONS)
+
+
 def kinds(graphs: Graphs) -> list[tuple[int, ...]]:
     return [tuple(sorted(x for x in row if x >= 0)) for row in graphs.action.tolist()]
+
+
+def test_a_seed_says_which_varied_graphs_there_are() -> None:
+    one, again, other = (varied_graphs(20, ACTIONS, 8, (2, 5), seeded(s)) for s in (0, 0, 1))
+    assert same(one, again)
+    assert not same(one, other)
 
 
 def test_small_populations_have_all_pairs_that_act_equally_often_and_nothing_else() -> None:

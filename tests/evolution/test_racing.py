@@ -10,13 +10,17 @@ from torch import Tensor
 from cgtorch.evolution import evaluator, race
 from cgtorch.evolution.population import random_population
 from cgtorch.evolution.racing import WAVE
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import Graphs, compacted
 
 ACTIONS = custom_actions()
 
 
 def described(graph: Graphs) -> tuple[list[int], list[Tensor]]:
-    """What tells a graph apart: its nodes, of which each has its action, edges and parameters."""
+    """What tells a graph apart: its nodes, of which each has its action, edges and parameters.
+
+    The same nodes may be in other slots, as there are few kinds of very small graphs.
+    """
+    graph = compacted(graph)
     used = graph.used[0]
     return [int(graph.start)], [x[0, used] for x in (graph.action, graph.edges, graph.parameters)]
 
@@ -50,7 +54,10 @@ def test_a_race_is_what_the_reference_says(seed: int, scenarios: int, count: int
     some = random_population(count, ACTIONS, 12, (2, 10), seeded(seed)).graphs
     graphs = some[torch.randint(count, (count,), generator=seeded(seed + 1))]
     environment, keep = model(seed, scenarios), torch.zeros(scenarios, dtype=torch.bool)
-    whole = evaluator(ACTIONS, environment, keep, scenarios=torch.arange(scenarios))(graphs)
+    evaluation = evaluator(ACTIONS, environment, keep, scenarios=torch.arange(scenarios))
+    if seed % 2:  # the first one solves the most, so that others may be closer to the rest
+        graphs = graphs[evaluation(graphs).succeeded.sum(1).argsort(descending=True)]
+    whole = evaluation(graphs)
     names = [str(described(graphs[i : i + 1])) for i in range(count)]
     evaluate = race(ACTIONS, environment, keep)
     found = evaluate(graphs)

@@ -27,7 +27,13 @@ from watched import (
 from cgtorch.evolution import EvolutionSettings
 from cgtorch.graphs import skill_to_dict
 from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
-from cgtorch.improvement.events import Event, SkillAccepted, WorldAsked
+from cgtorch.improvement.events import (
+    Event,
+    GenerationDone,
+    SkillAccepted,
+    WorldAsked,
+    WorldTested,
+)
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Budget, Progress
@@ -84,6 +90,8 @@ def test_no_more_is_asked_than_is_allowed(method: Callable[..., Any], name: str)
             "episodes": len(watched.acted),
         }
         assert counted.get(name, 0) <= limit
+        evolved = {event.candidate for event in of_kind(told, GenerationDone)}
+        assert len(evolved) <= len(of_kind(told, WorldTested)) + 1  # the last one was not tried
         asked = sum((e.asked for e in of_kind(told, WorldAsked)), Asked())
         assert getattr(asked, name) <= limit
         if share == 1:

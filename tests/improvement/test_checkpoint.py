@@ -12,6 +12,8 @@ from support import custom_actions, model, same, seeded
 from torch import Tensor
 
 from cgtorch.evolution import EvolutionSettings, Generation, evolve
+from cgtorch.evolution.population import slim
+from cgtorch.ground.asked import Asked
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.checkpoint import (
     Checkpoint,
@@ -102,3 +104,18 @@ def test_what_it_has_come_to_and_makes_no_sense_is_one_error(name: str) -> None:
     for bad in (without, {**about, name: torch.full((2, 2), 1j)}):
         with pytest.raises(RunError, match="the checkpoint of an evolution is damaged"):
             found_from(bad, ACTIONS, 3)
+
+
+def test_only_clearly_more_fitness_is_a_better_champion() -> None:
+    generation = second_generation(1)
+    nobody = generation.population[:1]
+    for ahead, better in ((0.002, True), (0.0005, False), (-1.0, False)):
+        before = Found(nobody, torch.zeros(3, dtype=torch.bool), generation.best - ahead)
+        after = before.after(generation, 2.0, Asked(steps=3)).after(generation, 0.5)
+        assert (after.generations, after.transitions) == (2, 2 * generation.transitions)
+        assert (after.seconds, after.asked) == (2.5, Asked(steps=3))
+        assert after.since == (1 if better else 2)
+        assert after.best == (generation.best if better else before.best)
+        wanted = generation.champion if better else nobody
+        assert same(after.champion.graphs, slim(wanted).graphs) or not better
+        assert torch.equal(after.solved, generation.succeeded if better else before.solved)

@@ -18,6 +18,7 @@ from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.improvement.compose import (
     branching_action,
+    broad_group,
     compose,
     fewest_members,
     local_group,
@@ -211,3 +212,19 @@ def test_any_missed_scenario_may_be_the_middle_of_a_group() -> None:
     percepts, missed = torch.eye(6, 7), torch.tensor([True, False, True, True, False, True])
     found = {int(local_group(percepts, missed, 1, seeded(s))[0]) for s in range(60)}
     assert found == {0, 2, 3, 5}
+
+
+@given(st.integers(1, 30), st.integers(1, 12), st.integers(0, 2**31))
+def test_a_group_of_any_place_is_a_random_part_of_what_is_missed(
+    count: int, size: int, seed: int
+) -> None:
+    missed = torch.rand(count, generator=seeded(seed)) < 0.5
+    group = broad_group(torch.zeros(count, 7), missed, size, seeded(seed)).tolist()
+    assert len(set(group)) == len(group) == min(size, int(missed.sum()))
+    assert missed[group].all()
+
+
+def test_every_missed_scenario_may_be_of_the_group() -> None:
+    missed = torch.arange(6) % 2 == 0
+    groups = [broad_group(torch.zeros(6, 1), missed, 1, seeded(i)).tolist() for i in range(30)]
+    assert {row for group in groups for row in group} == {0, 2, 4}

@@ -1,5 +1,6 @@
 """A search for the best mean: what it finds, when it ends, and that it goes on to the same."""
 
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,10 +17,18 @@ from watched import of_kind
 from cgtorch.evolution import REWARDS, chance_of_success
 from cgtorch.graphs import ActionSet, Skill
 from cgtorch.ground.asked import Purse
-from cgtorch.improvement.events import Event, EvolutionRecalled, GenerationDone, MeanTested
+from cgtorch.improvement.events import (
+    Event,
+    EvolutionRecalled,
+    GenerationDone,
+    MeanTested,
+    SkillAccepted,
+)
 from cgtorch.improvement.expected import improve_expected
+from cgtorch.improvement.mean_search import KNOWN
 from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.improvement.spread import FEWEST
+from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.journal import FileJournal
 
 SMALL = replace(REWARDS, population=24, initial_nodes=(1, 2), capacity=6)
@@ -108,12 +117,48 @@ def test_it_ends_once_the_target_is_surely_reached() -> None:
 
 def test_it_ends_after_its_generations_and_when_the_time_is_over() -> None:
     told: list[Event] = []
-    searched(setup_of(told.append, budget=Budget(4), attempts=3))
-    assert len(of_kind(told, GenerationDone)) == 12
+    began = time.perf_counter()
+    searched(setup_of(told.append, budget=Budget(2), attempts=2))
+    assert len(of_kind(told, GenerationDone)) == 4
+    seconds = [each.seconds for each in of_kind(told, GenerationDone)]
+    assert min(seconds) > 0
+    assert sum(seconds) < time.perf_counter() - began
     late = Purse(until=time.monotonic())
     told.clear()
     assert searched(setup_of(told.append, purse=late)).skill is not None
     assert len(of_kind(told, GenerationDone)) == 1
+
+
+def test_what_is_found_is_told_with_its_result_on_the_tests() -> None:
+    told: list[Event] = []
+    setup, tests = setup_of(told.append, budget=Budget(1)), tickets(30, seeded(5))
+    after = improve_expected(setup, BEFORE, tests, tickets)
+    (accepted,) = of_kind(told, SkillAccepted)
+    (done,) = of_kind(told, GenerationDone)
+    assert after.skill is accepted.skill
+    assert after.skill is not None
+    assert (accepted.stage, accepted.skill.name, accepted.parent) == (setup.name,) * 2 + (None,)
+    assert after.specialists is not None
+    assert same(after.specialists.graphs, after.skill.graph)
+    trial = try_skill(after.skill, PaidLottery(tests))
+    assert torch.equal(accepted.succeeded, trial.succeeded)
+    assert (accepted.keep.any(), accepted.targets.all()) == (False, True)
+    assert 0 < done.seconds <= accepted.seconds
+    assert done.limit == 1
+    first, *later = of_kind(told, MeanTested)
+    assert first.new
+    assert first.tried >= KNOWN
+    assert [each.new for each in later] == [
+        one.skill is not two.skill for one, two in itertools.pairwise([first, *later])
+    ]
+    assert [each.episodes for each in later] == sorted(each.episodes for each in later)
+    told.clear()
+    named = replace(BEFORE, skill=staking(-1.0, name="earlier"), specialists=after.specialists)
+    again = improve_expected(setup, named, NOTHING, tickets)
+    for accepted in of_kind(told, SkillAccepted):
+        assert accepted.parent == "earlier"
+        assert len(accepted.succeeded) == 0
+    assert (again.skill is named.skill) is (not of_kind(told, SkillAccepted))
 
 
 def test_an_earlier_skill_stays_unless_another_is_better() -> None:
@@ -133,7 +178,8 @@ def test_it_is_the_same_after_an_interruption(
 ) -> None:
     """With all that was held, beaten and tuned until then."""
     before, whole = replace(BEFORE, skill=skill), list[Event]()
-    wanted = searched(setup_of(whole.append), before)
+    few: dict[str, Any] = {"budget": Budget(number + 5)}
+    wanted = searched(setup_of(whole.append, **few), before)
     met, again = 0, list[Event]()
 
     def stop(event: Event) -> None:
@@ -143,14 +189,15 @@ def test_it_is_the_same_after_an_interruption(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt), FileJournal(tmp_path, seconds=0) as journal:
-        searched(setup_of(stop, journal=journal), before)
+        searched(setup_of(stop, journal=journal, **few), before)
     with FileJournal(tmp_path) as journal:
-        found = searched(setup_of(again.append, journal=journal), before)
+        found = searched(setup_of(again.append, journal=journal, **few), before)
     assert found.skill is not None
     assert wanted.skill is not None
     assert same(found.skill.graph, wanted.skill.graph)
     (recalled,) = of_kind(again, EvolutionRecalled)
     assert recalled.found.generations == number - 1
+    assert (recalled.found.best, recalled.found.since) == (-torch.inf, 0)
     rest = of_kind(whole, GenerationDone)[number - 1 :]
     own = of_kind(again, GenerationDone)
     assert [e.generation.best for e in own] == [e.generation.best for e in rest]

@@ -1,11 +1,24 @@
-"""Whose turn it is to be tuned, and how much, in a search for the best mean."""
+"""Whose turn it is to be tuned in a search for the best mean, and what is kept of its state."""
 
 from dataclasses import replace
 
 import pytest
+import torch
 from lottery import ACTIONS, staking
+from support import same
 
-from cgtorch.improvement.expected_state import AHEAD, SHARE, Spent, State
+from cgtorch.ground.errors import RunError
+from cgtorch.improvement.expected_state import (
+    AHEAD,
+    RACING,
+    SHARE,
+    Spent,
+    State,
+    state_from_tensors,
+    tensors_of_state,
+)
+from cgtorch.improvement.paired_race import Holder
+from cgtorch.improvement.spread import Need
 from cgtorch.improvement.tuning import DOUBTFUL, Tuning, begun
 
 
@@ -41,3 +54,60 @@ def test_enough_is_tuned_by_what_generations_have_executed() -> None:
     spent = Spent(searched=10, tuned=4 * SHARE, rivals=6 * SHARE)
     assert State(spent=spent).enough
     assert not State(spent=replace(spent, rivals=6 * SHARE - 1)).enough
+
+
+def test_races_have_a_share_of_the_episodes_two_for_each_pair() -> None:
+    spent = Spent(episodes=80 * RACING, raced=20)
+    assert State(spent=spent).longest == 30
+
+
+def test_who_wins_holds_and_may_be_tuned_again_if_it_is_another() -> None:
+    holder, other = Holder(staking(0.1)), Holder(staking(0.2))
+    settled = State(holder=holder, settled=True)
+    again = replace(holder, total=3.0, count=2)
+    assert settled.held_by(again) == replace(settled, holder=again)
+    assert settled.held_by(other) == State(holder=other)
+    assert State(settled=True).held_by(other) == State(holder=other, settled=True)
+
+
+LIKE = staking(0.0, name="like")
+
+
+def read(state: State, given: bool = False) -> State:
+    """The state after it was kept; its holder may be the skill that was given."""
+    skill = state.holder.skill if given and state.holder is not None else None
+    return state_from_tensors(tensors_of_state(state, skill), ACTIONS, LIKE, skill)
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_what_is_kept_is_what_is_read(given: bool) -> None:
+    one, two = tuning(lost=2), tuning(0.25)
+    one = replace(one, scenarios=7, reliability=0.75, recent=(1.5, 2.5), mark=-3.0)
+    two = replace(two, distribution=replace(two.distribution, updates=3, step=0.3))
+    holder = Holder(staking(0.3, 0.1), 3.5, 7.25, 4)
+    spent, need = Spent(1, 2, 3, 4, 5, 6, 7), Need(12, 0.625)
+    state = State(holder, one, (two, one), True, 0.1, need, spent)
+    found = read(state, given)
+    assert (found.settled, found.toll, found.need, found.spent) == (True, 0.1, need, spent)
+    assert found.tuning is not None
+    for kept, was in zip((found.tuning, *found.rivals), (one, two, one), strict=True):
+        assert same(kept.graph, was.graph)
+        assert torch.equal(kept.distribution.covariance, was.distribution.covariance)
+        assert torch.equal(kept.distribution.mean, was.distribution.mean)
+        about = ("scenarios", "toll", "lost", "reliability", "recent", "mark", "kind")
+        assert [getattr(kept, name) for name in about] == [getattr(was, name) for name in about]
+        assert kept.distribution.updates == was.distribution.updates
+        assert kept.distribution.step == was.distribution.step
+    assert found.holder is not None
+    assert same(found.holder.skill.graph, holder.skill.graph)
+    assert (found.holder.skill is holder.skill) is given
+    assert given or found.holder.skill.name == "like"
+    assert replace(found.holder, skill=holder.skill) == holder
+    assert read(State()) == State()
+
+
+def test_a_holder_that_was_given_must_be_given_again() -> None:
+    holder = Holder(staking(0.3), 1.0, 1.0, 1)
+    tensors = tensors_of_state(State(holder), holder.skill)
+    with pytest.raises(RunError, match="damaged"):
+        state_from_tensors(tensors, ACTIONS, LIKE, None)

@@ -18,6 +18,7 @@ from cgtorch.ground.asked import Purse
 from cgtorch.improvement.events import (
     EpisodePlayed,
     Event,
+    EvolutionRecalled,
     GenerationDone,
     MeanTested,
     ModelsFitted,
@@ -27,6 +28,7 @@ from cgtorch.improvement.imagined import improve_imagined
 from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT
 from cgtorch.improvement.played import OneEpisode, tried_out
 from cgtorch.improvement.setup import Budget, Progress, Setup
+from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.journal import FileJournal
 from cgtorch.simulation import rollout
 
@@ -53,12 +55,15 @@ def setup_of(watch: Callable[[Event], Any], **others: Any) -> Setup[Places]:
 
 
 def searched(
-    setup: Setup[Places], before: Progress[Places] = BEFORE, kind: type[CartModels] = CartModels
+    setup: Setup[Places],
+    before: Progress[Places] = BEFORE,
+    kind: type[CartModels] = CartModels,
+    tests: Places = NOTHING,
 ) -> Progress[Places]:
     def draw(count: int, generator: Any) -> Places:
         return DOMAIN.draw("any", count, generator)
 
-    return improve_imagined(setup, before, NOTHING, draw, kind(DOMAIN))
+    return improve_imagined(setup, before, tests, draw, kind(DOMAIN))
 
 
 def mean_return(skill: Skill | None) -> float:
@@ -101,9 +106,18 @@ def test_it_ends_with_its_budget_and_its_time_and_keeps_a_skill() -> None:
             late.until = time.monotonic()
 
     hopeless = Budget(60, satisfied=1e6)
-    after = searched(setup_of(watch, purse=late, budget=hopeless))
+    began = time.perf_counter()
+    tests = DOMAIN.draw("any", 5, seeded(7))
+    after = searched(setup_of(watch, purse=late, budget=hopeless), tests=tests)
     assert after.skill is not None
-    assert len(of_kind(told, GenerationDone)) == 1
+    (accepted,) = of_kind(told, SkillAccepted)
+    assert accepted.skill is after.skill
+    assert torch.equal(accepted.succeeded, try_skill(after.skill, DOMAIN.world(tests)).succeeded)
+    assert (accepted.keep.any(), accepted.targets.all(), accepted.parent) == (False, True, None)
+    assert after.specialists is not None
+    assert same(after.specialists.graphs, after.skill.graph)
+    (done,) = of_kind(told, GenerationDone)
+    assert 0 < done.seconds < time.perf_counter() - began
     told.clear()
     again = searched(setup_of(told.append, budget=replace(hopeless, generations=2)), after)
     before = after.knowledge.steps.percept  # nothing begins anew
@@ -114,7 +128,7 @@ def test_it_ends_with_its_budget_and_its_time_and_keeps_a_skill() -> None:
 @pytest.mark.parametrize("number", [1, 4, 12])
 def test_it_is_the_same_after_an_interruption(number: int, tmp_path: Path) -> None:
     whole, again, met = list[Event](), list[Event](), 0
-    budget = Budget(14, satisfied=1e6)  # which is never reached
+    budget = Budget(number + 2, satisfied=1e6)  # which is never reached
     first, second = Purse(), Purse()
     wanted = searched(setup_of(whole.append, budget=budget, purse=first))
     assert len(of_kind(whole, GenerationDone)) >= number
@@ -130,6 +144,8 @@ def test_it_is_the_same_after_an_interruption(number: int, tmp_path: Path) -> No
     with FileJournal(tmp_path) as journal:
         setup = setup_of(again.append, budget=budget, journal=journal, purse=second)
         found = searched(setup)
+    (recalled,) = of_kind(again, EvolutionRecalled)
+    assert (recalled.found.best, recalled.found.generations) == (-torch.inf, number - 1)
     rest = of_kind(whole, GenerationDone)[number - 1 :]
     own = of_kind(again, GenerationDone)
     assert [e.generation.best for e in own] == [e.generation.best for e in rest]

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+import scipy.stats
 import torch
 from lottery import Lottery, PaidLottery, idle, staking, tickets
 from support import seeded
@@ -90,6 +91,9 @@ def test_few_pairs_have_to_differ_more() -> None:
     for freedom, wanted in ((7, 4.53), (15, 3.59), (31, 3.26), (10**6, 3.0)):
         assert student(3.0, freedom) == pytest.approx(wanted, abs=0.05)
     assert student(1.6449, 9) == pytest.approx(1.833, abs=0.001)
+    for deviations in (1.0, 2.0, 3.0):
+        exact = scipy.stats.t.ppf(scipy.stats.norm.cdf(deviations), 30)
+        assert student(deviations, 30) == pytest.approx(exact, abs=5e-5)
 
 
 def test_what_is_played_tells_how_long_episodes_are() -> None:

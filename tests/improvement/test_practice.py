@@ -11,10 +11,21 @@ from members import nearly
 from reaching import world_of
 from support import seeded
 from torch import Generator
-from watched import NONE, Watched, along, first_stage, improved, keys, of_kind, recruited
+from watched import (
+    NONE,
+    Watched,
+    along,
+    first_stage,
+    improved,
+    keys,
+    of_kind,
+    recruited,
+    state_of,
+    without_models,
+)
 
 from cgtorch.improvement.events import Practised, SkillAccepted
-from cgtorch.improvement.improve import BATCH, FIRST, IDLE, LONG
+from cgtorch.improvement.improve import BATCH, FIRST, IDLE, LONG, _wanted
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios
 
@@ -212,3 +223,19 @@ def test_what_fails_in_practice_is_where_the_next_member_is_evolved(
     assert set(keys(after.solved)) == set(keys(tests.joined(odd)))
     assert not len(after.missed)
     assert [e.in_a_row for e in of_kind(told, Practised)][-1] == 3
+
+
+@pytest.mark.parametrize(
+    ("repeats", "tried", "actions", "share"),
+    [(False, 29, 90, FIRST), (False, 30, 49, 1.0), (False, 30, 50, 0.5), (True, 0, 90, 1.0)],
+)
+def test_few_trials_ask_for_more_in_a_row_and_many_successes_for_fewer(
+    repeats: bool, tried: int, actions: int, share: float
+) -> None:
+    assert (FIRST, LONG) == (1.5, 2.5)
+    state = state_of(MANY[:60], (), repeats=repeats, actions=(3,) * actions)
+    setup = without_models(practice=20)
+    state = replace(state, tried=torch.arange(60) < tried)
+    assert _wanted(setup, state) == 20 * share
+    waiting = replace(state, waiting=MANY[:30], in_a_row=10)
+    assert _wanted(setup, waiting) == 40

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import torch
 from lottery import ACTIONS, idle, staking
-from support import same
+from support import custom_actions, same, seeded
 from torch import Tensor
 
 from cgtorch.evolution import Population
 from cgtorch.evolution.fitness import WORST
-from cgtorch.evolution.population import initial_strategy
+from cgtorch.evolution.population import initial_strategy, random_population
+from cgtorch.evolution.racing import contents
 from cgtorch.graphs import ActionSet, Graphs, LinearNN, RecurrentNN, concatenate
 from cgtorch.improvement.rivals import (
     RUNGS,
@@ -46,6 +47,23 @@ def test_the_best_with_parameters_become_rivals_and_not_who_finishes_nothing() -
     found = firsts(graphs, [1.0, 9.0, 3.0, 2.0], 2, nobody)
     assert [float(each.parameters[0, 0, 0]) for each in found] == torch.tensor([0.2, 0.3]).tolist()
     assert len(firsts(graphs, [1.0, 9.0, WORST, 2.0], 9, nobody)) == 2
+
+
+def test_the_best_of_each_kind_come_first_in_the_order_of_their_fitness() -> None:
+    actions = custom_actions()
+    many = random_population(60, actions, 4, (1, 3), seeded(0))
+    worth, nobody = torch.linspace(1, 0, 60), torch.zeros(60, dtype=torch.bool)
+    about = many, worth, torch.arange(60), nobody
+    every = first_rivals(*about, 60, actions, 7)
+    kinds = [each.kind for each in every]
+    count = len(set(kinds))
+    assert 2 < count < len(kinds)
+    assert len(set(kinds[:count])) == count
+    place = {contents(many[i : i + 1].graphs)[0]: i for i in reversed(range(60))}
+    order = [place[contents(each.graph)[0]] for each in every]
+    assert order[:count] == sorted(order[:count])
+    assert order[count:] == sorted(order[count:])
+    assert [each.kind for each in first_rivals(*about, 2, actions, 7)] == kinds[:2]
 
 
 def test_the_worse_half_ends_at_each_rung_and_those_with_a_toll_go_on() -> None:

@@ -33,6 +33,7 @@ from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Budget, Setup
 from cgtorch.improvement.specialists import READABLE, _without_each, evolve_candidate, shrunk
 from cgtorch.improvement.team import FEWEST, OTHERS, with_member
+from cgtorch.simulation import Rollouts
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
 
@@ -195,6 +196,28 @@ def test_what_is_large_becomes_smaller_and_does_as_well() -> None:
     assert sum(size <= READABLE for size in sizes) >= 3
 
 
+def test_what_is_large_becomes_smaller_by_the_fitness_that_counts() -> None:
+    def length(runs: Rollouts, probability: Tensor) -> Tensor:
+        return runs.transitions.to(probability)
+
+    environment, keep = model(3, 6), torch.zeros(6, dtype=torch.bool)
+    for seed in range(4):
+        before = large(seed)
+        after = shrunk(before, ACTIONS, environment, 7, 1e-3, length)
+        of_both = evaluator(ACTIONS, environment, keep, 7, fitness=length)
+        assert float(of_both(after.graphs).fitness) >= float(of_both(before.graphs).fitness) - 1e-3
+
+
+def test_episodes_of_an_evolution_are_no_longer_than_those_of_the_skill() -> None:
+    told: list[Any] = []
+    setup = without_models(max_transitions=2, budget=Budget(generations=2))
+    evolve_candidate(stage_of(setup, told.append), "S1.1", model(0, 5))
+    generations = of_kind(told, GenerationDone)
+    assert generations
+    for each in generations:
+        assert each.generation.transitions <= 2 * 5 * setup.evolution.population
+
+
 def test_what_is_readable_stays() -> None:
     graphs = random_graphs(0, 1, ACTIONS, nodes=(3, READABLE))
     before = Population(graphs, initial_strategy(1))
@@ -208,6 +231,7 @@ def test_every_node_goes_once_for_every_other() -> None:
     assert len(smaller) == n * (n - 1)
     assert valid(smaller, ACTIONS).all()
     assert (smaller.num_nodes < n).all()
+    assert not smaller.parameters[~smaller.used].any()
     was = graphs.used[0]
     missing = (was & ~smaller.used).sum(0)[was]
     assert (missing >= n - 1).all()

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 import torch
+from driven_cart import CartDriver, cart, lines, pusher, told
 from hypothesis import given
 from hypothesis import strategies as st
 from members import nearly
@@ -14,7 +15,7 @@ from torch import Tensor
 from watched import Watched, of_kind, stage_of, without_models
 
 from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
-from cgtorch.ground.errors import RunError
+from cgtorch.ground.errors import DomainError, RunError
 from cgtorch.improvement.events import WorldAsked
 from cgtorch.improvement.trial import (
     attempt,
@@ -144,3 +145,37 @@ def test_looks_that_make_no_sense_are_one_error(bad: Tensor | None, tmp_path: Pa
     setup = without_models(journal=FileJournal(tmp_path))
     with pytest.raises(RunError, match="remove the journal"):
         looked(stage_of(setup), random_scenarios("near", 4, seeded(0)))
+
+
+def test_a_robots_episodes_are_recalled_and_the_rest_is_carried_out(tmp_path: Path) -> None:
+    """An episode that was broken off is asked again, and its data and cost belong to the trial."""
+
+    def unplugged() -> None:
+        raise DomainError("unplugged")
+
+    path, driver, purse = tmp_path / "log", CartDriver(1), Purse()
+    domain = cart(path, driver)
+    skill = pusher(domain, 0.2)
+    driver.script = {20: unplugged}
+    with pytest.raises(DomainError, match="unplugged"):
+        try_skill(skill, told(domain, count=5))
+    finished = lines(path, "episode")
+    assert 0 < len(finished) < 4
+    driver = CartDriver(2)
+    trial = try_skill(skill, told(cart(path, driver), count=5), purse)
+    assert trial.asked == purse.total
+    episodes, actions = lines(path, "episode"), lines(path, "action")
+    assert driver.calls.count("arrange near") == 5 - len(finished)
+    assert trial.succeeded.tolist() == [row["succeeded"] for row in episodes]
+    motions = sum(row["what"] == "motion" for row in actions)
+    assert (trial.asked.motions, trial.asked.tests) == (motions, len(actions) - motions)
+    assert len(trial.experience.percept) == motions
+    assert len(trial.experience.tested) == len(actions) - motions
+    idle, again = CartDriver(3), Purse()
+    recalled = try_skill(skill, told(cart(path, idle), count=5), again)
+    assert not idle.calls
+    assert again.total == purse.total == recalled.asked
+    assert torch.equal(recalled.percepts, trial.percepts)
+    assert torch.equal(recalled.actions, trial.actions)
+    assert recalled.succeeded.tolist() == trial.succeeded.tolist()
+    assert torch.equal(recalled.experience.percept, trial.experience.percept)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import time
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -9,20 +10,22 @@ from typing import Any
 
 import pytest
 import torch
+from members import nearly
 from support import create_run, seeded
 from told_by_runs import asked_at_start, logged
 from trained import SMALL, Trained, copied, without_success
 
-from cgtorch.ground.asked import Asked
+from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, FreshTested, StageStarted, WorldAsked
+from cgtorch.improvement.setup import Progress
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.runs.chosen import last_skill
-from cgtorch.runs.settings import Goal
+from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.settings import TabletopSettings
-from cgtorch.training.auto import act, reached, train_until
+from cgtorch.training.auto import EPISODES, TESTING, _with, act, reached, train_until
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import check_percepts
 from cgtorch.training.train import NotImprovedError, train
@@ -245,19 +248,46 @@ def test_where_no_world_can_be_put_back_practice_reaches_the_goal() -> None:
     ("most", "enough", "tried"), [(50, 12, 50), (850, 10**6, 850), (850, 1, 400), (850, 401, 800)]
 )
 def test_acting_ends_where_enough_was_missed(
-    made: Made, most: int, enough: int, tried: int
+    most: int, enough: int, tried: int, tmp_path: Path
 ) -> None:
-    score = act(made[0], None, most, seeded(3), enough=enough)
+    run, skill = create_run(tmp_path / "run", RunSettings()), nearly(0.3)
+    score = act(run, None, most, seeded(3), enough=enough)
     assert score.tried == len(score.scenarios) == tried
     assert score.successes == 0
     assert len(score.scenarios.seed.unique()) == tried
-    world = made[0].domain.world(score.scenarios)
-    assert torch.equal(score.percepts, first_percepts(world))
-    skill = last_skill(made[0].folder)[1]
-    some = act(made[0], skill, 20, seeded(3))
-    again = try_skill(skill, made[0].domain.world(some.scenarios))
+    assert torch.equal(score.percepts, first_percepts(run.domain.world(score.scenarios)))
+    some = act(run, skill, 20, seeded(3))
+    again = try_skill(skill, run.domain.world(some.scenarios))
     assert torch.equal(some.succeeded, again.succeeded)
     assert torch.equal(some.percepts, again.percepts)
+
+
+def test_acting_ends_early_once_the_time_is_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, purse = create_run(tmp_path / "run", RunSettings()), Purse()
+    monkeypatch.setattr("cgtorch.training.auto.BATCH", 40)
+    for ago, tried in ((2 * TESTING, EPISODES), (TESTING / 2, EPISODES + 50), (-99, EPISODES + 50)):
+        purse.until = time.monotonic() - ago
+        found = act(run, nearly(0.3), EPISODES + 50, seeded(0), 999, purse)
+        assert found.tried == tried
+    assert act(run, nearly(0.3), EPISODES + 50, seeded(0), 999).tried == EPISODES + 50
+
+
+def test_what_was_tried_joins_w_and_m_with_what_was_seen(tmp_path: Path) -> None:
+    run = create_run(tmp_path / "run", RunSettings())
+    none = run.domain.draw(run.kind, 0, seeded(0))
+    progress: Progress[Any] = Progress(None, none, none, None)
+    for seed in (1, 2):
+        score = act(run, nearly(0.3), 30, seeded(seed), 999)
+        assert 0 < score.successes < 30
+        before, progress = progress, _with(progress, score)
+        assert len(progress.solved) == len(before.solved) + score.successes
+        assert len(progress.missed) == len(before.missed) + 30 - score.successes
+        world = run.domain.world(progress.solved.joined(progress.missed))
+        assert progress.seen is not None
+        assert torch.equal(progress.seen, first_percepts(world))
+        assert try_skill(nearly(0.3), run.domain.world(progress.solved)).succeeded.all()
 
 
 def test_rounds_on_tables_of_any_kind(tmp_path: Path) -> None:

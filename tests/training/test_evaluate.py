@@ -36,7 +36,14 @@ def test_a_score_is_said_in_a_word() -> None:
 @pytest.mark.parametrize(("last", "mean"), [(4.5, 2.625), (-torch.inf, None), (torch.nan, None)])
 def test_returns_of_which_one_is_missing_have_no_mean(last: float, mean: float | None) -> None:
     returns = torch.tensor([1.0, 2, 3, last])
-    assert replace(score(3, 4), returns=returns).mean_return == mean
+    found = replace(score(3, 4), returns=returns)
+    assert found.mean_return == mean
+    assert found.error == (None if mean is None else pytest.approx((2.2291667 / 4) ** 0.5))
+    assert torch.equal(found.values, returns) or last != last
+    assert replace(score(1, 1), returns=returns[:1]).error is None
+    assert replace(score(2, 2), returns=returns[:2]).error == pytest.approx(0.5)
+    assert score(3, 4).values.tolist() == [1, 1, 1, 0]
+    assert score(3, 4).error is None
     assert replace(score(0, 0), returns=returns[:0]).mean_return is None
     assert score(3, 4).mean_return is None
 

@@ -41,6 +41,12 @@ def test_each_failure_is_of_one_kind_and_the_most_frequent_comes_first() -> None
         assert all(motion.predicted is None for act in kind.way for motion in act.motions)
 
 
+def test_what_succeeds_when_it_is_met_again_is_no_failure() -> None:
+    every = replace(SCORE, succeeded=torch.zeros_like(SCORE.succeeded))
+    found, wanted = failures_of(SKILL, TABLE, every), failures_of(SKILL, TABLE, SCORE)
+    assert [kind.scenarios for kind in found] == [kind.scenarios for kind in wanted]
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_way_is_that_of_a_rollout(seed: int) -> None:
     skill = random_skill(seed, "some", paper_actions(), max_transitions=9)

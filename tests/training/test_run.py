@@ -16,11 +16,12 @@ from driven_cart import CartDriver
 import cgtorch
 from cgtorch.commands.train import command
 from cgtorch.graphs import merged
-from cgtorch.ground.errors import CgtorchError, DomainError, SettingsError
+from cgtorch.ground.errors import CgtorchError, DomainError, RunError, SettingsError
 from cgtorch.improvement.events import Event, GenerationDone, SkillAccepted
 
 SMALL: dict[str, Any] = {"population": 40, "generations": 10, "practice": 10}
 CART = Path(__file__).parents[2] / "examples" / "cart.py"
+REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +70,32 @@ def test_a_run_tells_all_that_it_has(whole: cgtorch.Run, tmp_path: Path) -> None
     run.report(tmp_path / "page.html")
     assert b"auto-1" in (tmp_path / "page.html").read_bytes()
     assert run.log()[0]["event"] == "asked"
+
+
+def test_the_reference_run_tells_all_that_it_has() -> None:
+    run = cgtorch.open_run(REFERENCE)
+    assert list(run.skills) == [row["stage"] for row in run.ledger] == list(run.stages)
+    assert {row["event"] for row in run.ledger} == {"accepted"}
+    last = run.skills[run.stages[-1]]
+    assert torch.equal(run.skill.graph.parameters, last.graph.parameters)
+    one, other = run.evaluate(20, seed=1), run.evaluate(20, seed=2)
+    assert torch.equal(one.succeeded, run.evaluate(20, run.kind, 1, last).succeeded)
+    assert not torch.equal(one.percepts, other.percepts)
+    assert run.evaluate(20, "near", 1).successes >= 15
+    first = run.evaluate(20, "perimeter", 1, run.skills["S0"])
+    assert first.successes < run.evaluate(20, "perimeter", 1).successes
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_progress_is_shown_unless_it_is_not_wanted(
+    quiet: bool, cart: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    how: dict[str, Any] = {"watch": lambda event: True, **({"quiet": True} if quiet else {})}
+    run = cgtorch.train(cart.Cart, folder, **SMALL, rounds=1, **how)
+    assert bool("".join(capfd.readouterr())) is not quiet
+    run.resume(**how)
+    assert bool("".join(capfd.readouterr())) is not quiet
 
 
 def test_a_domain_is_an_object_a_class_or_a_name(cart: Any, tmp_path: Path) -> None:
@@ -120,6 +147,14 @@ def test_a_watch_sees_champions_and_may_stop_a_run_which_resumes(
     run = run.resume(quiet=True, watch=lambda event: told.append(event) or "only True stops")
     assert any(isinstance(event, SkillAccepted) for event in told)
     assert torch.equal(run.skill.graph.parameters, whole.skill.graph.parameters)
+
+
+def test_a_run_that_has_just_begun_has_no_skill(tmp_path: Path) -> None:
+    about: dict[str, Any] = {"stage": "S0", "quiet": True, "watch": lambda event: True}
+    run = cgtorch.train("tabletop", tmp_path / "run", **about)
+    assert run.skills == {}
+    with pytest.raises(RunError, match="has no skill yet; resume it"):
+        _ = run.skill
 
 
 def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:

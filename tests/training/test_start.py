@@ -7,11 +7,13 @@ from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
+import driven_cart
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import create_run
+from rewarded_cart import RewardedCart
+from support import create_run, seeded
 from told_by_runs import asked_at_start
 from trained import SMALL
 
@@ -219,3 +221,22 @@ def test_in_a_world_that_does_not_repeat_itself_one_robot_explores(tmp_path: Pat
     assert "fresh" not in fitted.summary.text
     seen = load_progress(run, run.folder / "start").knowledge.dataset.percept
     assert len(torch.unique(seen, dim=0)) == len(seen)
+
+
+def test_with_data_alone_nothing_is_asked_of_the_world(tmp_path: Path) -> None:
+    data = some_data(400, 60, 60)
+    run = run_with(tmp_path, data, transitions=0)
+    training = Training(run, lambda event: None, lambda message: nullcontext())
+    assert same(module._first_data(training, seeded(0)), data)
+    assert training.purse.total == Asked()
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_a_robot_is_explored_as_one(live: bool, tmp_path: Path) -> None:
+    domain = driven_cart.cart(tmp_path / "log") if live else RewardedCart()
+    run = StoredRun(tmp_path / "run", RunSettings(transitions=70), domain, domain.actions())
+    training = Training(run, lambda event: None, lambda message: nullcontext())
+    known = some_data(3, 1, 1)
+    found = module._exploration(training, seeded(0), known)
+    assert (found.live, found.most, found.known) == (live, 70, known)
+    assert found.purse is training.purse

@@ -27,6 +27,7 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.improvement.trial import first_percepts
+from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import StoredRun, round_name
@@ -35,7 +36,10 @@ from cgtorch.tabletop.world import Scenarios
 from cgtorch.tabletop.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
 from cgtorch.training import train as module
 from cgtorch.training.context import Training
+from cgtorch.training.evaluate import evaluate_skill
 from cgtorch.training.train import (
+    FRESH,
+    FRESH_SEED,
     NotImprovedError,
     Tally,
     stage_generator,
@@ -154,6 +158,26 @@ def test_draws_are_the_stages_own_and_always_the_same(make: Make, run: StoredRun
         drawn.append([method.given[0][2].seed.tolist() for method in methods])
     assert drawn[0] == drawn[1]
     assert not {*drawn[0][0]} & {*drawn[0][1]}
+
+
+def test_what_happens_in_a_stage_is_told_and_logged(make: Make, run: StoredRun) -> None:
+    events: list[Event] = []
+    make(run, Method(*ALL), training=training_of(run, events))
+    assert [e.skill.name for e in events if isinstance(e, Practised)] == [SKILL.name]
+    assert [e.skill.name for e in events if isinstance(e, SkillAccepted)] == ["S0"]
+    logged = [row["event"] for row in read_log(run.folder)]
+    assert logged.count("accepted") == 1
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_a_stage_tells_how_its_skill_does_on_fresh_scenarios_of_the_seed(
+    seed: int, make: Make, run: StoredRun
+) -> None:
+    settings = replace(SETTINGS, seed=seed)
+    *_, result = make(replace(run, settings=settings), Method(*ALL), Method(*ALL))
+    for name, kind in (("fresh", "left"), ("overall", TABLE.kinds[0])):
+        score = evaluate_skill(SKILL, TABLE, kind, FRESH, FRESH_SEED + seed)
+        assert (result[name]["succeeded"], result[name]["tried"]) == (score.successes, FRESH)
 
 
 COUNTS = "targets_succeeded", "targets", "earlier_failures", "earlier_failures_succeeded"
@@ -288,6 +312,9 @@ def test_a_stage_has_randomness_of_its_own() -> None:
     everything = {drawn(seed, stage) for seed in range(20) for stage in names}
     assert len(everything) == 20 * len(names)
     assert drawn(3, "S2") == drawn(3, "S2")
+    again = [stage_generator(TABLE, 3, "S2", failures).get_state() for failures in (0, 1)]
+    assert torch.equal(stage_generator(TABLE, 3, "S2").get_state(), again[0])
+    assert not torch.equal(*again)
     drawn(2**31 - 1, "S3")  # the largest seed that settings allow
 
 

@@ -1,0 +1,285 @@
+"""The steps of a search in imagined episodes: what is judged, played, explored and told."""
+
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import pytest
+import torch
+from rewarded_cart import LIMIT, CartModels, GivenModels, Places, RewardedCart, Track
+from support import same, seeded
+from torch import Generator, Tensor
+from watched import of_kind
+
+from cgtorch.evolution import REWARDS, Generation, evolve
+from cgtorch.evolution.fitness import WORTHLESS
+from cgtorch.graphs import Graphs, Skill
+from cgtorch.ground.asked import Asked, Purse
+from cgtorch.improvement import imagined_search
+from cgtorch.improvement.events import EpisodePlayed, Event, MeanTested, ModelsFitted
+from cgtorch.improvement.imagined_search import (
+    CHANGES,
+    EPISODES,
+    FRESH,
+    HORIZON,
+    LOOKS,
+    MOST_CAUTIOUS,
+    SHORT,
+    Search,
+)
+from cgtorch.improvement.imagined_state import (
+    CHAMPIONS,
+    CURIOUS,
+    PATIENCE,
+    RANDOM,
+    STARTS,
+    State,
+)
+from cgtorch.improvement.paired_race import Holder
+from cgtorch.improvement.setup import Budget, Setup
+
+DOMAIN = RewardedCart()
+NOTHING = DOMAIN.draw("any", 0, seeded(0))
+
+
+def search_of(
+    satisfied: float = 8.0, told: list[Event] | None = None, kind: type[CartModels] = GivenModels
+) -> Search:
+    setup: Setup[Any] = Setup(
+        actions=DOMAIN.actions(), world_of=DOMAIN.world, imagine=lambda *_: DOMAIN.world(NOTHING),
+        evolution=replace(REWARDS, population=16), max_transitions=500, name="cart",
+        budget=Budget(60, satisfied=satisfied), purse=Purse(),
+        watch=lambda event: None if told is None else told.append(event),
+    )  # fmt: skip
+
+    def draw(count: int, generator: Generator) -> Places:
+        return DOMAIN.draw("any", count, generator)
+
+    return Search(setup, draw=draw, models=kind(DOMAIN))
+
+
+Beginning: TypeAlias = tuple[Search, State, list[Event]]
+
+
+@pytest.fixture(scope="module")
+def beginning() -> Beginning:
+    told: list[Event] = []
+    search = search_of(told=told)
+    return search, search.begun(seeded(0)), told
+
+
+@pytest.fixture
+def begun(beginning: Beginning) -> State:
+    return beginning[1]
+
+
+def test_it_begins_with_looks_and_episodes_of_random_controls(beginning: Beginning) -> None:
+    search, state, told = beginning
+    steps = search.setup.purse.total.motions
+    assert search.setup.purse.total == Asked(looks=LOOKS, episodes=EPISODES, motions=steps)
+    assert state.asked[STARTS].looks == LOOKS
+    assert (state.asked[RANDOM].episodes, state.episodes) == (EPISODES, EPISODES)
+    assert state.asked[RANDOM].motions == state.steps == len(state.known.steps) == steps
+    assert EPISODES * SHORT >= steps > (EPISODES - 1) * SHORT / 2
+    (fitted,) = of_kind(told, ModelsFitted)
+    assert fitted.summary.first
+    assert 0 <= fitted.seconds < 100
+    control = state.known.steps.control[:, 0]
+    same_one = (control[1:] == control[:-1]).float()
+    # The first of the episodes draws each control anew, and later ones do so less often.
+    assert CHANGES[0] == 1
+    assert same_one[:10].sum() == 0
+    assert same_one.sum() > 10
+
+
+def graph_of(better: bool) -> Graphs:
+    """The best or the worst of some random graphs that finish episodes in the world."""
+    search = search_of()
+    world = DOMAIN.world(DOMAIN.draw("any", 8, seeded(0)))
+    about = world, search.setup.actions, search.setup.evolution, seeded(0)
+    found = next(evolve(*about, max_transitions=500))
+    fitness = torch.where(found.fitness < WORTHLESS, torch.nan, found.fitness)
+    order = fitness.argsort()[: int(fitness.isfinite().sum())]  # those that finish none are last
+    return found.population.graphs[order[-1:] if better else order[:1]]
+
+
+GOOD, POOR = graph_of(better=True), graph_of(better=False)
+
+
+class Backwards(Track):
+    """A track on which every push goes the other way."""
+
+    def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        return super().next_state(state, -control, scenario)
+
+
+def told_skill(graphs: Graphs) -> Skill:
+    return Skill("cart", graphs, DOMAIN.actions(), 500)
+
+
+def test_what_is_wanted_of_an_episode_that_is_broken_off_is_less() -> None:
+    search = search_of(satisfied=8.0)
+    assert search.wanted(LIMIT // 2) == 4
+    assert search.wanted(2 * LIMIT) == 8
+
+
+class LongModels(GivenModels):
+    """Those of a world whose episodes take twice as many steps as imagined ones."""
+
+    most_steps = 2 * HORIZON
+
+
+def test_imagined_episodes_that_are_broken_off_need_less(begun: State) -> None:
+    inner = search_of(satisfied=8.0, kind=LongModels).in_models(begun.known)
+    assert inner.setup.budget.satisfied == 4
+
+
+def test_the_search_in_models_wants_the_same_and_plays_what_is_imagined(begun: State) -> None:
+    inner = search_of(satisfied=8.0).in_models(begun.known)
+    assert inner.setup.budget.satisfied == 8
+    values = inner.fresh.of_skills([told_skill(GOOD)], 60, seeded(1))[0]
+    assert torch.equal(
+        values, search_of().imagined(GOOD, begun.known.world(60, HORIZON, seeded(1)))
+    )
+
+
+def test_a_graph_promises_a_mean_with_an_error_on_fresh_episodes(begun: State) -> None:
+    search = search_of()
+    values = search.imagined(GOOD, begun.known.world(200, HORIZON, seeded(1))).double()
+    mean, error = search.promised(GOOD, begun.known.world(200, HORIZON, seeded(1)))
+    assert mean == pytest.approx(float(values.mean()))
+    assert error == pytest.approx(float(values.std()) / FRESH**0.5)
+
+
+def test_each_refused_offer_asks_for_more_up_to_a_limit(begun: State) -> None:
+    worlds = begun.known.world(imagined_search.SURE, HORIZON, seeded(1))
+    mean, error = search_of().promised(GOOD, worlds)
+    state = begun
+    for errors in (1, 2, MOST_CAUTIOUS, MOST_CAUTIOUS):
+        for more, sure in ((1.05, True), (0.95, False)):
+            search = search_of(satisfied=mean - more * errors * error)
+            assert search.surely(state, told_skill(GOOD), seeded(1)) is sure
+        state = replace(state, known=state.known.refused())
+
+
+def test_an_episode_is_worth_playing_if_it_tells_enough(
+    begun: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search, steps = search_of(), LIMIT  # as no episode is longer
+    world = begun.known.curious(imagined_search.SURE, imagined_search.CURIOUS_STEPS, seeded(1))
+    value = float(search.imagined(GOOD, world).mean()) / steps
+    for share, telling in ((0.99, True), (1.01, False)):
+        monkeypatch.setattr(imagined_search, "TELLING", share * value)
+        assert search.telling(GOOD, begun.known, seeded(1)) is telling
+
+
+def generation_of(search: Search, state: State, champion: Graphs) -> Generation:
+    """A generation in what is imagined, with this champion."""
+    inner = search.in_models(state.known)
+    world = state.known.world(2, HORIZON, seeded(0))
+    about = world, search.setup.actions, inner.structures, seeded(0)
+    found = next(evolve(*about, max_transitions=500))
+    return replace(found, champion=replace(found.champion, graphs=champion))
+
+
+def after(
+    search: Search, state: State, champion: Graphs = POOR, holder: Graphs | None = None
+) -> tuple[State, bool]:
+    if holder is not None:
+        values = torch.full((500,), 12.0)
+        known = Holder(told_skill(holder)).met(values)
+        state = replace(state, inner=replace(state.inner, holder=known))
+    return search.after(state, generation_of(search, state, champion), seeded(1))
+
+
+def test_a_good_champion_is_played_and_offered(begun: State) -> None:
+    told: list[Event] = []
+    search = search_of(told=told)
+    state, offered = after(search, begun, holder=GOOD)
+    assert offered
+    assert state.skill is not None
+    assert same(state.skill.graph, GOOD)
+    (episode,), (mean,) = of_kind(told, EpisodePlayed), of_kind(told, MeanTested)
+    assert episode.phase == CHAMPIONS
+    assert mean.mean == episode.returned
+    assert mean.skill is state.skill
+    assert (mean.new, mean.tried, mean.episodes) == (True, 1, begun.episodes + 1)
+    assert search.setup.purse.total.episodes == 1
+    more = search.setup.purse.total.motions
+    assert state.asked[CHAMPIONS].motions == more == len(state.known.steps) - len(begun.known.steps)
+    assert episode.total == begun.steps + more
+
+
+def test_a_champion_that_the_world_disproves_is_not_offered(begun: State) -> None:
+    """It is believed to be good, as its values are those of others."""
+    told: list[Event] = []
+    search = search_of(satisfied=11.9, told=told)
+    hopeless = replace(search, setup=replace(search.setup, world_of=Backwards))
+    state, offered = after(hopeless, begun, holder=GOOD)
+    assert not offered
+    assert state.skill is None
+    (mean,) = of_kind(told, MeanTested)
+    assert not mean.new
+    assert mean.mean == -LIMIT
+
+
+def test_there_is_no_episode_before_patience_is_over(begun: State) -> None:
+    search = search_of(satisfied=1e6)
+    waiting = replace(begun, patience=3, waited=1)
+    state, offered = after(search, waiting)
+    assert (offered, state.waited, state.patience) == (False, 2, 3)
+    assert search.setup.purse.total == Asked()
+    late = search_of(satisfied=1e6)
+    late.setup.purse.until = 0.0
+    state, _ = late.after(
+        replace(begun, waited=9, inner=replace(begun.inner, spent=begun.inner.spent)),
+        generation_of(search, begun, POOR),
+        seeded(1),
+    )
+    assert (state.waited, late.setup.purse.total) == (10, Asked())
+
+
+@pytest.mark.parametrize(("champion", "other"), [(True, False), (False, False), (False, True)])
+def test_what_tells_something_is_played_the_champion_first(
+    begun: State, champion: bool, other: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[Event] = []
+    search = search_of(satisfied=1e6, told=told)
+    monkeypatch.setattr(Search, "exploring", lambda *_: GOOD)
+    monkeypatch.setattr(Search, "telling", lambda self, graphs, *_: (
+        other if same(graphs, GOOD) else champion
+    ))  # fmt: skip
+    state, offered = after(search, begun)
+    assert not offered
+    assert state.waited == 0
+    assert [each.phase for each in of_kind(told, EpisodePlayed)] == [CURIOUS] * (champion or other)
+    assert state.patience == PATIENCE + (0 if champion or other else PATIENCE)
+    if other:  # it is better than the champion
+        assert state.seed is not None
+        assert same(state.seed, GOOD)
+    else:
+        assert state.seed is None
+
+
+def test_who_explores_is_offered_if_it_reaches_the_target(
+    begun: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Search, "exploring", lambda *_: GOOD)
+    monkeypatch.setattr(Search, "telling", lambda self, graphs, *_: same(graphs, GOOD))
+    state, offered = after(search_of(), begun)
+    assert offered
+    assert state.skill is not None
+    assert same(state.skill.graph, GOOD)
+    state, offered = after(search_of(satisfied=30.0), begun, champion=GOOD)
+    assert (offered, state.skill, state.seed) == (False, None, None)
+
+
+def test_new_knowledge_makes_the_holders_values_old(begun: State) -> None:
+    inner = replace(begun.inner, holder=Holder(told_skill(GOOD), 3.0, 5.0, 2))
+    state = replace(begun, inner=inner, waited=4)
+    again = state.met(begun.known, RANDOM, Asked(motions=5, episodes=2))
+    assert again.inner.holder == Holder(inner.holder.skill if inner.holder else told_skill(GOOD))
+    assert again.waited == 0
+    assert again.episodes == begun.episodes + 2
+    assert again.asked[RANDOM].motions == begun.asked[RANDOM].motions + 5
+    assert again.asked[STARTS] == begun.asked[STARTS]
+    assert again.steps == begun.steps + 5

@@ -1,0 +1,250 @@
+"""The steps of a search for the best mean: what is raced, tuned, played and counted in each."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from lottery import ACTIONS, PaidLottery, idle, staking, tickets
+from support import same, seeded
+from torch import Generator
+
+from cgtorch.evolution import REWARDS, Generation, evolve
+from cgtorch.graphs import Skill
+from cgtorch.improvement.expected_state import SHARE, Spent, State
+from cgtorch.improvement.mean_search import (
+    CERTAIN,
+    KNOWN,
+    LARGEST,
+    OFTEN,
+    TRIED,
+    MeanSearch,
+)
+from cgtorch.improvement.paired_race import Fresh, Holder
+from cgtorch.improvement.setup import Budget, Setup
+from cgtorch.improvement.spread import FEWEST, Need
+from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES, Tuning, begun
+
+SMALL = replace(REWARDS, population=24, initial_nodes=(1, 2), capacity=6, lineages=3)
+
+
+def search_of(satisfied: float = 9.0, **evolution: Any) -> MeanSearch:
+    """A search in the lottery whose best skill is worth 1.8."""
+
+    def world(count: int, generator: Generator) -> PaidLottery:
+        return PaidLottery(tickets(count, generator))
+
+    setup: Setup[Any] = Setup(
+        actions=ACTIONS, world_of=PaidLottery, imagine=lambda *_: world(0, seeded(0)),
+        evolution=replace(SMALL, **evolution), max_transitions=4,
+        budget=Budget(30, satisfied=satisfied),
+    )  # fmt: skip
+    return MeanSearch(setup, Fresh(world, 4))
+
+
+def generation_of(search: MeanSearch, seed: int = 0) -> Generation:
+    """A first generation on a few fresh tickets."""
+    environment = search.fresh.world(FEWEST, seeded(seed))
+    return next(evolve(environment, ACTIONS, search.structures, seeded(seed), max_transitions=4))
+
+
+def tuned(skill: Skill, toll: float = 0.0, **about: Any) -> Tuning:
+    found = begun(skill.graph, ACTIONS, 2, toll)
+    assert found is not None
+    updates = about.pop("updates", 0)
+    return replace(found, distribution=replace(found.distribution, updates=updates), **about)
+
+
+def test_a_generation_is_counted_and_its_champion_is_the_first_holder() -> None:
+    search = search_of()
+    generation = generation_of(search)
+    first, *later = search.after(State(), generation, seeded(1))
+    assert first.spent == Spent(
+        1, generation.transitions, generation.executed, episodes=generation.scores.numel()
+    )
+    assert first.holder is not None
+    assert same(first.holder.skill.graph, search.skill_of(generation.champion.graphs).graph)
+    assert first.holder.count == max(KNOWN, first.need.scenarios)
+    assert first.tuning is not None
+    assert len(first.rivals) == 2
+    assert all(each is not first.tuning for each in first.rivals)
+    assert {each.scenarios for each in first.rivals} == {first.need.scenarios // FEWEST}
+    before = first
+    for state in later:
+        assert not before.enough
+        spent, updates = state.spent, state.spent.episodes - before.spent.episodes
+        assert updates % SAMPLES == 0 < updates
+        was_behind = before.behind
+        assert (spent.tuned > before.spent.tuned) is was_behind
+        assert (spent.rivals > before.spent.rivals) is not was_behind
+        before = state
+    assert before.enough
+    last = before.spent
+    assert last.tuned + last.rivals < SHARE * last.searched + 4 * 4 * SAMPLES * 100
+    assert search.fresh.episodes >= last.episodes - generation.scores.numel() + last.raced
+
+
+def test_nothing_is_tuned_where_the_holder_may_have_reached_the_target() -> None:
+    search = search_of(satisfied=0.5)
+    state = State(holder=Holder(staking(1.0)))
+    (only,) = search.after(state, generation_of(search), seeded(1))
+    assert only.holder is not None
+    assert only.holder.mean >= 0.5
+    assert (only.spent.tuned, only.spent.rivals) == (0, 0)
+
+
+def test_the_number_of_scenarios_grows_with_the_episodes_only() -> None:
+    search = search_of()
+    generation = generation_of(search)
+    unsure = Need(64, 0.0)
+    for episodes in (0, 10**6):
+        state = State(need=unsure, spent=Spent(episodes=episodes))
+        after = next(search.after(state, generation, seeded(1)))
+        most = (episodes + generation.scores.numel()) // (LARGEST * len(generation.scores))
+        assert after.need == unsure.after(generation.scores, most)
+
+
+@pytest.mark.parametrize(("number", "known"), [(OFTEN, True), (OFTEN + 1, True), (1, False)])
+def test_the_mean_of_a_holder_is_known_better_now_and_then(number: int, known: bool) -> None:
+    search = search_of()
+    generation = replace(generation_of(search), number=number)
+    values = torch.full((40,), 5.0 * known)  # so good that no challenger wins
+    holder = Holder(staking(1.0)).met(values) if known else Holder(staking(1.0))
+    state = State(holder=holder, need=Need(20), spent=Spent(episodes=10**4))
+    after = next(search.after(state, generation, seeded(1)))
+    assert after.holder is not None
+    more = after.need.scenarios if number != OFTEN + 1 else 0
+    assert after.holder.count - holder.count == more
+
+
+def test_who_finishes_no_episode_holds_nothing() -> None:
+    search = search_of(lineages=0)
+    generation = generation_of(search)
+    nobody = replace(generation.champion, graphs=idle().graph)
+    state = next(search.after(State(), replace(generation, champion=nobody), seeded(1)))
+    assert state.holder is None
+
+
+def test_individuals_that_are_tuned_are_guests() -> None:
+    search = search_of()
+    assert search.guests(State()) is None
+    one, two = tuned(staking(0.1)), tuned(staking(0.2))
+    guests = search.guests(State(tuning=one, rivals=(two,)))
+    assert guests is not None
+    assert guests.graphs.parameters[:, 0, 0].tolist() == pytest.approx([0.1, 0.2])
+    only = search.guests(State(rivals=(two,)))
+    assert only is not None
+    assert only.graphs.parameters[:, 0, 0].tolist() == pytest.approx([0.2])
+
+
+def test_generations_look_for_structures_and_half_of_them_are_new() -> None:
+    found = search_of(population=31).structures
+    assert (found.lineages, found.newcomers) == (0, 15)
+    assert found.population == 31
+
+
+def test_the_target_is_reached_by_a_mean_that_is_known_well() -> None:
+    search = search_of(satisfied=1.5)
+    good, lucky = Holder(staking(1.0)), Holder(staking(-1.0))
+    few = torch.full((KNOWN,), 1.8)
+    state, reached = search.certain(State(holder=good.met(few)), seeded(0))
+    assert reached
+    assert state.holder is not None
+    assert state.holder.count == TRIED
+    assert search.fresh.episodes == TRIED - KNOWN
+    state, reached = search.certain(State(holder=lucky.met(few)), seeded(0))
+    assert not reached
+    assert state.holder is not None
+    assert state.holder.count == TRIED
+    for unsure in (None, good.met(few[1:]), good.met(few - 0.4)):
+        same_one = State(holder=unsure)
+        assert search.certain(same_one, seeded(0)) == (same_one, False)
+    # Nothing more is played of what is known well, which has to be better by standard errors.
+    known = good.met(torch.tensor([1.0, 2.0]).repeat(TRIED))
+    for satisfied, wanted in (
+        (1.5 - 0.99 * CERTAIN * known.error, False),
+        (1.5 - 1.01 * CERTAIN * known.error, True),
+    ):
+        other = search_of(satisfied)
+        assert other.certain(State(holder=known), seeded(0)) == (State(holder=known), wanted)
+        assert other.fresh.episodes == 0
+
+
+def after_one(state: State, satisfied: float = 9.0) -> State:
+    """The state after one update following a generation whose champion wins nothing."""
+    search = search_of(satisfied)
+    generation = generation_of(search)
+    champion = replace(generation.champion, graphs=idle().graph)
+    states = search.after(state, replace(generation, champion=champion, number=1), seeded(1))
+    next(states)
+    return next(states)
+
+
+HELD = Holder(staking(1.0)).met(torch.full((50,), 1.8))
+PLAYED = Spent(episodes=10**5, rivals=10)
+
+
+def test_a_mean_that_loses_race_after_race_has_more_scenarios_or_makes_room() -> None:
+    worse = tuned(staking(-1.0), updates=EVERY - 1, lost=PATIENCE - 1, mark=1.0)
+    rival = tuned(staking(0.0), updates=1)
+    state = after_one(State(HELD, worse, (rival,), spent=PLAYED))
+    assert state.tuning is not None
+    assert state.tuning.scenarios == 2 * worse.scenarios
+    assert (state.tuning.lost, state.settled) == (0, False)
+    assert state.spent.raced > 0
+    large = replace(worse, scenarios=PLAYED.episodes // (LARGEST * SAMPLES) + 100)
+    state = after_one(State(HELD, large, (rival,), spent=PLAYED))
+    assert (state.tuning, state.settled) == (None, True)  # it has played too little for more
+    early = replace(worse, lost=0)
+    state = after_one(State(HELD, early, (rival,), spent=PLAYED))
+    assert state.tuning is not None
+    assert (state.tuning.lost, state.tuning.scenarios) == (1, 2)
+    before = replace(worse, distribution=replace(worse.distribution, updates=EVERY - 2))
+    state = after_one(State(HELD, before, (rival,), spent=PLAYED))
+    assert state.tuning is not None
+    assert state.tuning.lost == PATIENCE - 1
+
+
+def test_a_rival_whose_mean_wins_is_tuned_as_the_best() -> None:
+    holder = Holder(staking(-1.0)).met(torch.full((50,), 0.2))
+    rival = tuned(staking(1.0), updates=EVERY - 1)
+    state = after_one(State(holder, None, (rival,), settled=True, spent=PLAYED))
+    assert state.tuning is not None
+    assert state.tuning.distribution.updates == EVERY
+    assert state.rivals == ()
+    assert state.holder is not None
+    assert same(state.holder.skill.graph, state.tuning.mean(ACTIONS))
+    early = tuned(staking(1.0), updates=EVERY - 2)
+    state = after_one(State(holder, None, (early,), settled=True, spent=PLAYED))
+    assert state.tuning is None
+    assert len(state.rivals) == 1
+    compared = (rival, tuned(staking(0.0), updates=EVERY + 1))
+    state = after_one(State(holder, None, compared, settled=True, spent=PLAYED))
+    assert (state.tuning, len(state.rivals)) == (None, 2)  # one of them will be left
+
+
+@pytest.mark.parametrize(("mark", "left"), [(-9.0, 1), (9.0, 0)])
+def test_a_rival_that_keeps_losing_ends_unless_it_improves(mark: float, left: int) -> None:
+    rival = tuned(staking(-1.0), updates=EVERY - 1, lost=PATIENCE - 1, mark=mark)
+    state = after_one(State(HELD, None, (rival,), settled=True, spent=PLAYED))
+    assert len(state.rivals) == left
+    assert state.tuning is None
+    fresh = replace(rival, lost=0)
+    state = after_one(State(HELD, None, (fresh,), settled=True, spent=PLAYED))
+    assert [each.lost for each in state.rivals] == [1]
+
+
+@pytest.mark.parametrize("toll", [0.0, 0.5])
+def test_the_same_graph_is_tuned_with_another_toll_if_one_is_known(toll: float) -> None:
+    one = tuned(staking(0.5), toll)
+    rival = tuned(staking(0.1))
+    first = after_one(State(HELD, one, (rival,), toll=0.5, spent=PLAYED))
+    assert [each.toll for each in first.rivals] == [0.0, 0.5 - toll]
+    assert same(first.rivals[1].graph, one.graph)
+    unknown = after_one(State(HELD, one, (rival,), toll=toll, spent=PLAYED))
+    assert len(unknown.rivals) == 1 + (toll > 0)
+    later = replace(one, distribution=replace(one.distribution, updates=1))
+    assert len(after_one(State(HELD, later, (rival,), toll=0.5, spent=PLAYED)).rivals) == 1
+    already = tuned(staking(0.1), 0.75)
+    more = after_one(State(HELD, one, (already,), toll=0.5, spent=PLAYED))
+    assert [each.toll for each in more.rivals] == [0.75]

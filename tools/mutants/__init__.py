@@ -1,0 +1,1 @@
+"""Mutation testing: small changes of the package, and the tests that are to notice them."""
