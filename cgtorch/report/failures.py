@@ -31,6 +31,8 @@ def which_fail(found: Failures) -> list[str]:
         said.append(f"By kind: {', '.join(parts)}.")
     if 0 < found.looked < found.failed:
         said.append(f"{found.looked} of them were looked at.")
+    if 0 < (caused := sum(found.causes().values())) < found.failed:
+        said.append(f"The causes of {caused} of them were looked for.")
     if (split := found.split) is not None:
         beyond = "more" if split.above else "less"
         (failed, failures), (solved, successes) = split.failed, split.solved

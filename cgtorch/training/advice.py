@@ -3,12 +3,21 @@
 from typing import Any
 
 from cgtorch.domains.domain import Domain, rewarded
-from cgtorch.domains.failures import Advice, Failure, Failures, Searched
+from cgtorch.domains.failures import Advice, Failures, Searched
 from cgtorch.domains.way import Motion
 from cgtorch.training.evaluate import Score
 
 MODELS = "Γ and C"
 NEAR_DATA = 0.5  # novelty of a motion that is among Γ's data
+TOLD = 3  # kinds about which advice says where Γ is wrong
+UNKNOWN = (
+    "there are no data like it: collect some there (go on training, as every trial in the world "
+    "teaches Γ, or give a log by --data)"
+)
+FAMILIAR = (
+    "although there are data like it: the percept lacks what decides this, so add that, or collect "
+    "more data (--transitions)"
+)
 
 
 def blame_of(found: Failures, modelled: bool) -> str:
@@ -107,7 +116,6 @@ def _advice(
     cause: str, found: Failures, domain: Domain[Any], searched: Searched | None
 ) -> list[str]:
     """Sentences about one cause."""
-    kinds = [(i, kind) for i, kind in enumerate(found.kinds, 1) if kind.causes[0].name == cause]
     match cause:
         case "unreachable":
             return ["Nothing solves them, so leave such scenarios out, or change what can be done."]
@@ -121,7 +129,7 @@ def _advice(
                 "They are solved with more than twice as many transitions: raise --max-transitions."
             ]
         case "gamma":
-            return about_gamma(kinds, domain)
+            return about_gamma(found, domain)
         case "classifier":
             return [
                 "C says success where a test in the world fails. It needs labels there, and every "
@@ -134,28 +142,23 @@ def _advice(
     return ["Evaluate the run where its models are, or train again."]
 
 
-def about_gamma(kinds: list[tuple[int, Failure]], domain: Domain[Any]) -> list[str]:
-    """Sentences about a Γ that is wrong, from where it and the world part in the kinds."""
-    said, unusual = [], False
-    for number, kind in kinds:
-        if (step := kind.way.parts) is None:
+def about_gamma(found: Failures, domain: Domain[Any]) -> list[str]:
+    """Sentences about a Γ that is wrong, from where it and the world part in the first kinds."""
+    said = []
+    for number, kind in enumerate(found.kinds, 1):
+        if all(cause.name != "gamma" for cause in kind.causes):
+            continue
+        if (step := kind.way.parts) is not None:
+            motion = worst_of(kind.way.acts[step].motions)
+            names = ", ".join(wrong_numbers(motion, domain))
+            where = UNKNOWN if (motion.novelty or 0) > NEAR_DATA else FAMILIAR
+            said.append(f"In kind {number} Γ is wrong about {names} in step {step}; {where}.")
+        elif kind.causes[0].name == "gamma":
             said.append(
                 f"In kind {number} no prediction is far off: small errors of Γ add up, which more "
                 "data make smaller (--transitions, or go on training)."
             )
-            continue
-        motion = worst_of(kind.way.acts[step].motions)
-        names = ", ".join(wrong_numbers(motion, domain))
-        unusual = (motion.novelty or 0) > NEAR_DATA
-        where = (
-            "there are no data like it: collect some there (go on training, as every trial in the "
-            "world teaches Γ, or give a log by --data)"
-            if unusual
-            else "although there are data like it: the percept lacks what decides these numbers, "
-            "so add that, or collect more data (--transitions)"
-        )
-        said.append(f"In kind {number} Γ is wrong about {names} in step {step}; {where}.")
-    return said or ["Γ is wrong: collect more data (--transitions, or go on training)."]
+    return said[:TOLD] or ["Γ is wrong: collect more data (--transitions, or go on training)."]
 
 
 def worst_of(motions: tuple[Motion, ...]) -> Motion:
