@@ -10,6 +10,7 @@ from torch import Tensor
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.failures import CAUSES, Failure, Failures
 from cgtorch.domains.way import Act, Motion, Way
+from cgtorch.ground.errors import printable
 from cgtorch.ground.fields import Field
 
 SHOWN = 12  # scenarios of a kind that are named
@@ -170,9 +171,14 @@ def as_text(found: Failures, domain: Domain[Any], films: dict[int, str]) -> str:
         if number in films:
             lines += ["", f"![The skill at work]({films[number]})"]
         head, *rows = table_of(kind.way, domain, FIRST, LAST)
-        lines += ["", *(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))]
+        lines += ["", *map(_line, (head, ["---"] * len(head), *rows))]
     lines += ["", "Γ errs by 1 where only 1 % of its data are further from what it predicts."]
-    return "\n".join(lines) + "\n"
+    return "\n".join(map(printable, lines)) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
+    """A line of a table, in which nothing but its rims is a rim."""
+    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
 
 
 def as_data(found: Failures, domain: Domain[Any]) -> dict[str, Any]:
