@@ -47,10 +47,21 @@ def explained(run: StoredRun) -> Explained | None:
 
 
 def background_of(run: StoredRun, folder: Path, log: list[Row] | None = None) -> Background:
-    """What is known of the skill in the folder of a stage or round."""
+    """What is known of the skill in the folder of a stage or round.
+
+    Of the last skill of a run, it is the search for a better one that is told, if it has begun.
+    """
     known, modelled = stage_knowledge(run, folder), run.learns or run.imagines
     log = read_log(run.folder) if log is None else log
-    return Background(known, modelled, searched_of(log, folder.name))
+    begun = [str(row["stage"]) for row in log if row["event"] == "stage"]
+    last = begun[-1] if begun and _is_last(run, folder) else folder.name
+    return Background(known, modelled, searched_of(log, last))
+
+
+def _is_last(run: StoredRun, folder: Path) -> bool:
+    """Whether a folder is that of the last skill of a run."""
+    last = folder_of_last(run)
+    return last is not None and last.resolve() == folder.resolve()
 
 
 def _where(run: StoredRun) -> str:
@@ -72,15 +83,17 @@ def _wanted(run: StoredRun, log: list[Row]) -> dict[str, int]:
 def searched_of(log: list[Row], stage: str) -> Searched | None:
     """What a log says of the search for the skill of a stage, of the last one by default.
 
-    None if it has nothing of generations.
+    None if it has nothing of that stage.
     """
+    known = {row.get("stage") for row in log}
     rows = [row for row in log if row["event"] == "generation"]
     if not stage and rows:
         stage = str(rows[-1]["stage"])
     rows = [row for row in rows if row["stage"] == stage]
     ended, value = _end(log, stage)
     if not rows:
-        return None if ended == "interrupted" else Searched(stage, 0, 0, 1.0, False, ended, value)
+        none = stage not in known and ended == "interrupted"
+        return None if none else Searched(stage, 0, 0, 1.0, False, ended, value)
     last = [row for row in rows if row["candidate"] == rows[-1]["candidate"]]
     sizes = [(row["solved_w"] + row["solved_m"], row["size_w"] + row["size_m"]) for row in rows]
     met = [row for row in log if row["event"] == "asked" and row["stage"] == stage]

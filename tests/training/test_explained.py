@@ -1,16 +1,17 @@
 """What a run's folder says of its last skill, and of the search for it."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 from driven_cart import CartDriver
-from trained import Trained
+from trained import Trained, copied
 
 import cgtorch
 from cgtorch import open_run
 from cgtorch.runs.log import read_log
-from cgtorch.training.explained import explained, searched_of
+from cgtorch.training.explained import background_of, explained, searched_of
 
 
 def rows(count: int, limit: int, best: list[float], **more: Any) -> list[dict[str, Any]]:
@@ -74,7 +75,8 @@ def test_why_a_search_ended(more: list[dict[str, Any]], ended: tuple[str, float]
     assert found is not None
     assert (found.ended, found.value) == ended
     alone = searched_of(more, "S0")
-    assert (alone and alone.ended) == (None if ended[0] == "interrupted" else ended[0])
+    told = ended[0] != "interrupted" or any(row["stage"] == "S0" for row in more)
+    assert (alone and alone.ended) == (ended[0] if told else None)
 
 
 def test_a_run_without_a_skill_and_a_run_on_a_robot(tmp_path: Path) -> None:
@@ -88,3 +90,17 @@ def test_a_run_without_a_skill_and_a_run_on_a_robot(tmp_path: Path) -> None:
     on_robot = open_run(tmp_path / "cart", "examples.cart:Cart")
     object.__setattr__(on_robot.settings, "driver", f"driven_cart:{CartDriver.__name__}")
     assert explained(on_robot) is None
+
+
+def test_of_a_last_skill_it_is_the_search_for_a_better_one_that_is_told(
+    trained: Trained, tmp_path: Path
+) -> None:
+    folder = copied(trained, tmp_path / "run")
+    begun = {"event": "stage", "stage": "S2", "stages": ["S2"], "size_w": 0, "size_m": 0}
+    with (folder / "log.jsonl").open("a") as log:
+        log.write(json.dumps({**begun, "time": 0, "attempts": 1}) + "\n")
+    run = open_run(folder)
+    searched = [background_of(run, run.folder / name).searched for name in ("S0", "S1")]
+    assert [each and each.stage for each in searched] == ["S0", "S2"]
+    assert searched[1]
+    assert searched[1].ended == "interrupted"
