@@ -149,6 +149,11 @@ def numbers_in(values: Tensor, fields: Fields) -> str:
     return ", ".join(parts[:NUMBERS]) + (f", and {more} more" if more > 0 else "")
 
 
+def most_of(found: Failures) -> int:
+    """The number of failures of which advice counts some."""
+    return max(sum(found.causes().values()), *(each.count for each in found.advice), 0)
+
+
 def as_text(found: Failures, domain: Domain[Any], films: dict[int, str]) -> str:
     """All of it as Markdown; `films` are the files of films, by the number of the kind."""
     lines = [
@@ -160,7 +165,8 @@ def as_text(found: Failures, domain: Domain[Any], films: dict[int, str]) -> str:
         lines += ["", f"**Is Γ or the search to blame?** {found.blame}"]
     if found.advice:
         lines += ["", "**What should I change?**", ""]
-        lines += [f"- {advice.count} failures: {advice.text}" for advice in found.advice]
+        looked = most_of(found)
+        lines += [f"- {each.count} of {looked}: {each.text}" for each in found.advice]
     for number, kind in enumerate(found.kinds, 1):
         lines += [
             "",

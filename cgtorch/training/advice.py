@@ -15,8 +15,8 @@ UNKNOWN = (
     "teaches Γ, or give a log by --data)"
 )
 FAMILIAR = (
-    "although there are data like it: the percept lacks what decides this, so add that, or collect "
-    "more data (--transitions)"
+    "although there are data like it: such cases may be rare, so collect more data (--transitions), "
+    "or the percept may lack what decides this, so add that"
 )
 
 
@@ -207,7 +207,7 @@ def about_search(searched: Searched | None) -> list[str]:
     elif s.ended == "limits":
         said.append("The training ran out of time or rounds: go on with --resume and more of them.")
     elif s.ended == "interrupted":
-        said.append(f"{s.stage} was interrupted: go on with --resume.")
+        said.append(f"{s.stage} has not come to its end: go on with --resume.")
     if s.rising:
         said.append(
             f"The fitness still rose when the last evolution ended after {s.limit} generations: "

@@ -86,10 +86,9 @@ def searched_of(log: list[Row], stage: str) -> Searched | None:
     None if it has nothing of that stage.
     """
     known = {row.get("stage") for row in log}
-    rows = [row for row in log if row["event"] == "generation"]
-    if not stage and rows:
-        stage = str(rows[-1]["stage"])
-    rows = [row for row in rows if row["stage"] == stage]
+    begun = [str(row["stage"]) for row in log if row["event"] in ("stage", "generation")]
+    stage = stage or (begun[-1] if begun else "")
+    rows = [row for row in log if row["event"] == "generation" and row["stage"] == stage]
     ended, value = _end(log, stage)
     if not rows:
         none = stage not in known and ended == "interrupted"

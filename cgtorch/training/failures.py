@@ -7,6 +7,7 @@ of its last action.
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import exp
 from typing import Any
 
 import torch
@@ -28,8 +29,8 @@ from cgtorch.training.evaluate import Score
 MOST = 200  # failures that are looked at
 FEWEST, CAUSED = 4, 24  # failures of a kind whose causes are looked for
 ACTS = 2000  # of all these together, more or less, as each of them takes several trials
-FEW = 5  # failures, and successes, that it takes to tell how they differ
-TOLD_APART = 0.75  # balanced accuracy of a threshold that tells them apart
+TOLD_APART = 0.75  # balanced accuracy of a threshold that tells failures from successes
+DOUBT = 0.05  # probability that chance alone would tell them apart so well
 
 
 @dataclass(frozen=True)
@@ -140,14 +141,21 @@ def _kind(
 
 
 def split_of(score: Score, percept: Sequence[Field]) -> Split | None:
-    """The number of the first percepts that best tells failures from successes, if one does."""
+    """The number of the first percepts that best tells failures from successes, if one does.
+
+    It has to do so better than chance would by the bound of the Kolmogorov-Smirnov test of two
+    samples, for all numbers together (Bonferroni).
+    """
     good, seen = score.succeeded, score.percepts
-    if min(score.successes, score.tried - score.successes) < FEW:
+    failures, successes = score.tried - score.successes, score.successes
+    if not failures or not successes:
         return None
     found = [_threshold(values, good) for values in seen.unbind(1)]
     d = max(range(len(found)), key=lambda i: found[i][0])
     accuracy, threshold, above = found[d]
-    if accuracy < TOLD_APART:
+    rows = failures * successes / score.tried
+    chance = len(found) * 2 * exp(-2 * (2 * accuracy - 1) ** 2 * rows)
+    if accuracy < TOLD_APART or chance > DOUBT:
         return None
     beyond = (seen[:, d] > threshold) == above
     known = len(percept) == seen.shape[1]

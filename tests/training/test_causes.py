@@ -166,7 +166,7 @@ S = Searched("auto-1", 40, 20, 0.5, False, "finished")
         (replace(S, ended="limits"), "go on with --resume", "--population"),
         (replace(S, rising=True), "raise --generations", "--population"),
         (replace(S, ended="failed"), "raise --population", "--generations"),
-        (replace(S, ended="interrupted"), "auto-1 was interrupted", "--population"),
+        (replace(S, ended="interrupted"), "auto-1 has not come to its end", "--population"),
         (S, "Raise --population", "--generations"),
         (None, "--generations", "--target"),
     ],
