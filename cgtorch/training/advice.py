@@ -15,8 +15,8 @@ UNKNOWN = (
     "teaches Γ, or give a log by --data)"
 )
 FAMILIAR = (
-    "although there are data like it: such cases may be rare, so collect more data (--transitions), "
-    "or the percept may lack what decides this, so add that"
+    "although there are data like it: such cases may be rare, so collect more data "
+    "(--transitions), or the percept may lack what decides this, so add that"
 )
 
 
