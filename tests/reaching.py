@@ -15,6 +15,7 @@ from cgtorch.improvement.setup import Budget, Setup
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.data import Scenes, collect
 from cgtorch.tabletop.domain import Tabletop
+from cgtorch.tabletop.stands import graspable_from_somewhere
 from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld
 
 BASE: Any = SimpleNamespace(description=SimpleNamespace(footprint=FOOTPRINT, name="base"))
@@ -41,6 +42,9 @@ class Reaching(Tabletop):
 
     def world(self, scenarios: Scenarios) -> TabletopWorld:
         return TabletopWorld(scenarios, reachable, FOOTPRINT, percept=self.tabletop)
+
+    def solvable(self, scenarios: Scenarios) -> Tensor:
+        return graspable_from_somewhere(scenarios, FOOTPRINT, reachable)
 
 
 TABLE = Reaching(robot=BASE, networks="percept")

@@ -14,6 +14,7 @@ from cgtorch.ground.statistics import wilson
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
+    from cgtorch.domains.failures import Failures
     from cgtorch.runs.chosen import Chosen
     from cgtorch.training.evaluate import Score
 
@@ -52,8 +53,9 @@ Examples:
 @click.option(
     "--failures",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Write why the skill fails into this folder: each kind of failure once, with its way "
-    "through the graph, what Γ and C say, and a film where the domain can draw.",
+    help="Write why the skill fails into this folder: each kind of failure once, with its "
+    "causes, its way through the graph, what Γ and C say, and a film where the domain can draw, "
+    "and what to change.",
 )
 def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
@@ -94,7 +96,9 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     }
     if rest["picture"]:
         _draw(rest["picture"], score, chosen)
-    told = _explained(rest["failures"], score, chosen, domain, quiet) if rest["failures"] else ""
+    why, told = None, ""
+    if rest["failures"]:
+        why, told = _explained(rest["failures"], score, chosen, domain, quiet)
     own, predicted, noise = _share(score.successes, score.tried), None, None
     if chosen.run is not None and chosen.stage is not None:
         predicted, noise = _of_run(chosen, score, seed, quiet)
@@ -109,7 +113,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
             "predicted": predicted,
             "w_other_noise": noise,
             **({"other_measures": measures} if measures else {}),
-            "rows": _rows(score),
+            "rows": _rows(score, why),
         }
         click.echo(json.dumps(result))
         return
@@ -125,33 +129,43 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
         )
     if noise is not None:
         common.say(f"W under other noise, when it was accepted: {_as_text(noise)}")
-    if told:
-        common.say(told)
+    if why is not None:
+        for line in (why.blame, *(advice.text for advice in why.advice), told):
+            common.say(line)
 
 
-def _rows(score: "Score") -> list[dict[str, Any]]:
-    """A row for each scenario, in their order; a return that is not finite is None."""
-    count = len(score.succeeded)
-    returns = [None] * count if score.returns is None else score.returns.tolist()
-    return [
+def _rows(score: "Score", why: "Failures | None") -> list[dict[str, Any]]:
+    """A row for each scenario, in their order; a return that is not finite is None.
+
+    Where failures are explained, a row has the number of its kind of failure, from 1.
+    """
+    returns = [None] * score.tried if score.returns is None else score.returns.tolist()
+    rows: list[dict[str, Any]] = [
         {"succeeded": good, "return": value if value is not None and isfinite(value) else None}
         for good, value in zip(score.succeeded.tolist(), returns, strict=True)
     ]
+    if why is not None:
+        rows = [{**row, "failure": None} for row in rows]
+        for number, kind in enumerate(why.kinds, 1):
+            for scenario in kind.scenarios:
+                rows[scenario]["failure"] = number
+    return rows
 
 
 def _explained(
     folder: Path, score: "Score", chosen: "Chosen", domain: "Domain[Any]", quiet: bool
-) -> str:
-    """Write why the skill fails, with what the models of its stage say, and tell the files."""
-    from cgtorch.runs.storage import stage_knowledge
-    from cgtorch.training.failures import failures_of, write_failures
+) -> "tuple[Failures, str]":
+    """Why the skill fails, with what the models of its stage say; it is written, and told where."""
+    from cgtorch.report.failure_files import write_failures
+    from cgtorch.training.explained import background_of
+    from cgtorch.training.failures import Background, failures_of
 
     run, stage = chosen.run, chosen.stage
-    known = None if run is None or stage is None else stage_knowledge(run, stage)
+    known = Background() if run is None or stage is None else background_of(run, stage)
     with common.waiting(f"looking at failures of {chosen.skill.name}", quiet):
-        kinds = failures_of(chosen.skill, domain, score, known)
-        paths = write_failures(folder, chosen.skill, domain, score, kinds)
-    return f"kinds of failure: {len(kinds)}, in {', '.join(map(str, paths))}"
+        found = failures_of(chosen.skill, domain, score, known)
+        paths = write_failures(folder, found, chosen.skill, domain, score.scenarios)
+    return found, f"kinds of failure: {len(found.kinds)}, in {', '.join(map(str, paths))}"
 
 
 def _of_run(

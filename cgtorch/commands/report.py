@@ -28,8 +28,9 @@ def command(
 
     It shows the stages beside published results, pictures of the solved scenarios, fitness and
     mutation rates over generations, the graphs, the quality of Γ and C, settings, versions, and
-    the commands that make the run again. Everything is read from the folder RUN. For an
-    unfinished run, the page says which parts are missing.
+    the commands that make the run again. Everything is read from the folder RUN. The last skill is
+    tried again on fresh scenarios, to show where it fails, and why. For an unfinished run, the page
+    says which parts are missing.
     """
     common.check_output(output, force)
     common.draw_without_display()
@@ -38,10 +39,14 @@ def command(
     from cgtorch.ground.files import write_bytes
     from cgtorch.report.page import report_page
     from cgtorch.runs.stored_run import read_run
+    from cgtorch.training.explained import explained
 
     torch.set_num_threads(1)
+    opened = read_run(run, actions, domain)
+    with common.waiting(f"looking at failures of {run}", quiet):
+        why = explained(opened)
     with common.waiting(f"drawing {run}", quiet):
-        page = report_page(read_run(run, actions, domain))
+        page = report_page(opened, why)
     write_bytes(output, page)
     common.say(f"{run} as a page: {output}, {len(page)} bytes")
 

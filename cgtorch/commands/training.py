@@ -159,9 +159,9 @@ def _after(work: Work) -> Iterator[str]:
             )
     yield "Next:"
     yield f"  cgtorch-evaluate {run.folder}{code}  # try the skill on fresh scenarios"
-    if run.settings.domain == TABLETOP:
+    if not run.settings.driver:
         yield f"  cgtorch-view {run.folder}{code}  # watch it at work in the browser"
-    yield f"  cgtorch-report {run.folder}{code} --output report.html  # the run as one page"
+    yield f"  cgtorch-report {run.folder}{code} --output report.html  # the run, and where it fails"
     later = [name for name in run.domain.stages if name not in run.stages]
     if later and not work.auto:
         yield f"  {_resuming(run)} --stage {later[-1]}  # more stages"

@@ -23,6 +23,7 @@ Examples:
   cgtorch-view runs/reference/S1 --against runs/reference
   cgtorch-view runs/auto --skill auto-1 --scenarios general
   cgtorch-view runs/reference --world mujoco
+  cgtorch-view runs/cartpole
   cgtorch-view runs/reference --film skill.webp
   cgtorch-view runs/push --film push.gif --seed 3
 """
@@ -64,17 +65,21 @@ Examples:
 def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: Any) -> None:
     """Watch a skill at work in the browser, step by step, until Ctrl-C.
 
-    The browser shows skills of the tabletop. With --film, a skill of any domain that can draw is
-    shown in an animated picture.
-
     RUN_OR_SKILL is the folder of a run (its last skill is taken), the folder of a stage in it, or
-    a skill file, which acts with the built-in PR2 and the default noise. The page shows the robot,
-    the graph, the percept and the message. On the page you can choose another scenario, drag the
-    object, and take any other skill of the run.
+    a skill file, which acts with the built-in PR2 and the default noise. On the page you can choose
+    another scenario, and take any other skill of the run.
+
+    The page of the tabletop shows the robot in a scene, the graph, the percept and the message, and
+    you can drag the object. The page of any other domain shows the pictures that the domain draws,
+    and beside them the nodes, percepts and controls. With --film, a skill of any domain that can
+    draw is shown in an animated picture.
     """
     other, quiet = rest["against"], rest["quiet"]
     if rest["film"] is not None:
         _film(rest["film"], path, scenarios, count, seed, rest)
+        return
+    if _draws_itself(path, rest["domain"]):
+        _played(path, scenarios, count, seed, rest)
         return
     if find_spec("viser") is None:
         raise SettingsError("cgtorch-view needs package 'viser'; pip install 'cgtorch[view]'")
@@ -102,6 +107,32 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
     with suppress(KeyboardInterrupt):
         common.say(f"{chosen.skill.name} at work: {address} (Ctrl-C ends it)")
         play_for_ever(page)
+
+
+def _draws_itself(path: Path, domain: str | None) -> bool:
+    """Whether a run or a skill file is about another domain than the tabletop."""
+    from cgtorch.domains.registry import TABLETOP
+    from cgtorch.runs.chosen import stored_domain
+
+    spec = domain if path.is_file() else stored_domain(path)
+    return spec not in (None, TABLETOP)
+
+
+def _played(path: Path, kind: str | None, count: int, seed: int, rest: dict[str, Any]) -> None:
+    """Show a skill of another domain than the tabletop in the browser."""
+    if rest["against"] is not None or rest["world"] is not None:
+        raise SettingsError("--against and --world are for the tabletop; leave them out")
+    common.draw_without_display()
+    with common.importing():
+        import torch
+
+        from cgtorch.commands.playing import play
+        from cgtorch.runs.chosen import chosen_skill
+
+    torch.set_num_threads(1)
+    with common.waiting(f"loading {path}", rest["quiet"]):
+        chosen = chosen_skill(path, rest["name"], rest["actions"], kind, rest["domain"])
+    play(chosen, count, seed, rest["host"], rest["port"])
 
 
 def _film(
@@ -152,17 +183,11 @@ def _offer(
 ) -> tuple["Chosen", dict[str, "Candidate"]]:
     """The skill of a path, and all skills of its run."""
     from cgtorch.domains.domain import in_world
-    from cgtorch.domains.registry import TABLETOP
     from cgtorch.graphs import load_skill
-    from cgtorch.runs.chosen import chosen_skill, stored_domain
+    from cgtorch.runs.chosen import chosen_skill
     from cgtorch.tabletop.domain import Tabletop
     from cgtorch.tabletop.viewer.timeline import Candidate
 
-    if not path.is_file() and (spec := stored_domain(path)) not in (None, TABLETOP):
-        raise SettingsError(
-            f"{str(path)!r} is about domain {spec!r}, and only the tabletop can be watched in the "
-            "browser; add --film skill.webp, or see cgtorch-report"
-        )
     chosen = chosen_skill(path, name, actions, scenarios)
     domain, run, skills = chosen.domain, chosen.run, {}
     if world is not None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar, runtime_checkable
 
-from torch import Generator
+from torch import Generator, Tensor
 
 from cgtorch.domains.files import Files
 from cgtorch.domains.models import Models
@@ -139,6 +139,14 @@ class Adaptable(Protocol):
 
     def other_measures(self) -> Mapping[str, Domain[Any]]:
         """Domains with the same world and another measure of success, by its name."""
+
+
+@runtime_checkable
+class Surveyed(Protocol):
+    """A domain that knows scenarios that nothing can solve."""
+
+    def solvable(self, scenarios: Any) -> Tensor:
+        """(B,) bool, False for scenarios of which the domain knows that nothing solves them."""
 
 
 @runtime_checkable

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from cgtorch.graphs import Skill
 from cgtorch.ground.environment import Environment
 from cgtorch.ground.errors import SettingsError
-from cgtorch.simulation import rollout
-from cgtorch.simulation.tracing import end_of as how_ended
+from cgtorch.simulation import traced
 
 WIDTH = 480  # px
 END = 1200  # ms that the last picture is shown
@@ -33,11 +32,14 @@ class Film:
         frames: Its pictures, of one size.
         lasts: ms that each is shown.
         end: How the skill ended: success, failure or timeout.
+        acts: The number of the skill's action, from 0, during which each picture was taken; () if
+            that is not known.
     """
 
     frames: Sequence[Picture]
     lasts: int
     end: str
+    acts: Sequence[int] = ()
 
 
 class Reel:
@@ -45,12 +47,13 @@ class Reel:
 
     def __init__(self, draw: Callable[[], Picture], every: float, slow: float = 1.0) -> None:
         """A picture every so many seconds of an episode, which is shown so many times as slowly."""
-        self._draw, self._first, self._slow = draw, every, slow
+        self._draw, self._first, self._slow, self._act = draw, every, slow, 0
         self.begin()
 
     def begin(self) -> None:
         """Begin with another episode."""
-        self._frames, self._every, self._last = list[Picture](), self._first, -1
+        self._frames, self._acts = list[Picture](), list[int]()
+        self._every, self._last = self._first, -1
 
     def take(self, now: float) -> None:
         """Take a picture if one is due at this time of the episode, s."""
@@ -59,19 +62,24 @@ class Reel:
             return
         self._last = number
         self._frames.append(self._draw())
+        self._acts.append(self._act)
         if len(self._frames) >= 2 * MOST:
-            self._frames, self._every, self._last = self._frames[::2], 2 * self._every, number // 2
+            self._frames, self._acts = self._frames[::2], self._acts[::2]
+            self._every, self._last = 2 * self._every, number // 2
+
+    def end_act(self) -> None:
+        """An action of the skill has ended."""
+        self._act += 1
+
+    def play(self, skill: Skill, world: Environment) -> Film:
+        """The film of a skill in a world of one scenario, of which pictures are taken."""
+        with torch.no_grad():
+            return self.film(traced(skill, world, ended=self.end_act).end)
 
     def film(self, end: str) -> Film:
         """The film of the episode, with a last picture of how it is now."""
-        return Film([*self._frames, self._draw()], round(1000 * self._slow * self._every), end)
-
-
-def end_of(skill: Skill, world: Environment) -> str:
-    """How a skill ends in a world of one scenario: success, failure or timeout."""
-    with torch.no_grad():
-        runs = rollout(skill.graph, skill.actions, world, max_transitions=skill.max_transitions)
-    return how_ended(runs)
+        frames, acts = [*self._frames, self._draw()], [*self._acts, max(0, self._act - 1)]
+        return Film(frames, round(1000 * self._slow * self._every), end, acts)
 
 
 def renderer(model: Any, width: int) -> Any:

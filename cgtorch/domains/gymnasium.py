@@ -20,7 +20,7 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain, Specialists
 from cgtorch.domains.files import Files
-from cgtorch.domains.film import Film, end_of
+from cgtorch.domains.film import Film
 from cgtorch.domains.gymnasium_episodes import Episodes
 from cgtorch.domains.gymnasium_film import MODE
 from cgtorch.domains.gymnasium_limits import bounds_of_percepts
@@ -104,7 +104,7 @@ class EpisodePictures(Pictures["Gymnasium"]):
         keywords = {**settings.keywords, "render_mode": MODE}
         drawing = type(domain)(replace(settings, env=keywords), domain.known)
         filmed = drawing.episodes.film(width)
-        return filmed.reel.film(end_of(skill, drawing.world(scenarios[:1])))
+        return filmed.reel.play(skill, drawing.world(scenarios[:1]))
 
 
 class KnownFiles(Files["Gymnasium"]):

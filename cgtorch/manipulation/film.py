@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, ClassVar
 
-from cgtorch.domains.film import Film, Picture, Reel, end_of, renderer
+from cgtorch.domains.film import Film, Picture, Reel, renderer
 from cgtorch.domains.pictures import Pictures
 from cgtorch.graphs import Skill
 from cgtorch.manipulation.simulator import SEEN, Simulator
@@ -27,7 +27,7 @@ class ArmPictures(Pictures[Any]):
         about = domain.simulators, domain.arm, simulator.size, domain.num_ids
         world = ArmWorld(scenarios[:1], *about)
         with _filmed(simulator, seed, domain, width) as reel:
-            return reel.film(end_of(skill, world))
+            return reel.play(skill, world)
 
 
 @contextmanager

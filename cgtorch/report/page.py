@@ -11,6 +11,7 @@ from matplotlib import rc_context
 
 from cgtorch import __version__
 from cgtorch.domains.domain import rewarded
+from cgtorch.domains.failures import Explained
 from cgtorch.domains.film import animated
 from cgtorch.domains.registry import is_code
 from cgtorch.graphs import load_skill
@@ -18,6 +19,7 @@ from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.ground.files import place_of, read_json
 from cgtorch.ground.statistics import wilson
+from cgtorch.report.failure_section import failure_section
 from cgtorch.report.html import STYLE, inline_svg, templates
 from cgtorch.report.messages import as_time
 from cgtorch.report.plots import draw_fitness, draw_rates, draw_success
@@ -49,17 +51,19 @@ class Contents:
         return [row for row in self.log if row["event"] == event]
 
 
-def report_page(run: StoredRun) -> bytes:
+def report_page(run: StoredRun, why: Explained | None = None) -> bytes:
     """A run as one HTML page that needs nothing else: no script, no other file, no network.
 
-    It is UTF-8. The same run under the same name, even an unfinished one, always gives the same
-    bytes. CgtorchError if a file of the run is damaged.
+    With `why`, it has a section on where the last skill fails. It is UTF-8. The same run under the
+    same name, even an unfinished one, always gives the same bytes. CgtorchError if a file of the
+    run is damaged.
     """
     contents = read_contents(run)
     style = (files(PACKAGE) / "templates" / "page.css").read_text()
     template = templates(PACKAGE).get_template("page.html")
     with rc_context(STYLE):
         context = _context(contents)
+        context["failures"] = why and failure_section(why, run.domain, run.pictures)
     return template.render(context, style=Markup(style)).encode()  # noqa: S704  our own file
 
 

@@ -62,7 +62,7 @@ def traced(
 
     def trace(active: Tensor, node: Tensor, outcome: Tensor, lanes: Lanes) -> None:
         nonlocal frames
-        steps.append(_step(skill, program, frames, int(outcome)))
+        steps.append(step_at(skill, program, frames, int(outcome)))
         seen.append(lanes.rows(torch.zeros_like(active)))
         ended()
         # That something has changed keeps loops from being skipped, which only saves time.
@@ -78,7 +78,7 @@ def end_of(run: Rollouts) -> str:
     return "success" if run.succeeded else "timeout" if run.timed_out else "failure"
 
 
-def _step(skill: Skill, program: Program, frames: Frames, outcome: int) -> Step:
+def step_at(skill: Skill, program: Program, frames: Frames, outcome: int) -> Step:
     """The next step of the only lane, with the names of its nodes."""
     places, within, offset = [], skill, 0
     for row in frames.caller[0, 1 : int(frames.level) + 1].tolist():

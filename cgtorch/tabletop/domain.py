@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import torch
 from torch import Generator, Tensor, nn
@@ -45,6 +45,7 @@ from cgtorch.tabletop.physics import MujocoWorld, Physics
 from cgtorch.tabletop.physics.model import mujoco
 from cgtorch.tabletop.published import TabletopPictures
 from cgtorch.tabletop.settings import WORLDS, TabletopSettings
+from cgtorch.tabletop.stands import graspable_from_somewhere
 from cgtorch.tabletop.world import (
     DRAWS,
     EDGES,
@@ -58,9 +59,6 @@ from cgtorch.tabletop.world import (
     stage_scenarios,
 )
 from cgtorch.tabletop.world.percepts import BOX, parts_of, percept_fields
-
-if TYPE_CHECKING:
-    pass
 
 MARGIN = 0.03  # m that a way must be clearer in the models than in the world
 TRANSITIONS, LABELS = 2000, 5500  # random data of the paper's method
@@ -287,6 +285,11 @@ class Tabletop(Domain[Scenarios]):
             )
         grasps = partial(_shared, GRASPS[self.settings.grasp], self.robot)
         return TabletopWorld(scenarios, grasps, footprint, noise, percept=self.tabletop)
+
+    def solvable(self, scenarios: Scenarios) -> Tensor:
+        """See `Surveyed.solvable`: objects that can be grasped from some place around them."""
+        grasps = partial(GRASPS[self.settings.grasp], self.robot)
+        return graspable_from_somewhere(scenarios, self.robot.description.footprint, grasps)
 
     def actions(self) -> ActionSet:
         """See `Domain.actions`."""

@@ -175,9 +175,21 @@ def robust_success(
     replicas: int = REPLICAS,
 ) -> Tensor:
     """(B,) bool, whether a skill succeeds from percepts (B, D) under all of several new errors."""
+    return imagined_successes(models, skill, knowledge, percepts, generator, replicas).all(1)
+
+
+def imagined_successes(
+    models: Models[Any],
+    skill: Skill,
+    knowledge: Knowledge,
+    percepts: Tensor,
+    generator: Generator,
+    replicas: int = REPLICAS,
+) -> Tensor:
+    """(B, R) bool, whether a skill succeeds in Γ and C from percepts (B, D), under R new errors."""
     environment = models.imagine(knowledge, percepts, replicas, generator)
     with torch.no_grad():
         runs = rollout(
             skill.graph, skill.actions, environment, max_transitions=skill.max_transitions
         )
-    return runs.succeeded.view(len(percepts), replicas).all(1)
+    return runs.succeeded.view(len(percepts), replicas)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from cgtorch.domains.domain import rewarded
+from cgtorch.domains.failures import Failures
 from cgtorch.domains.registry import (
     driver_of,
     full_name,
@@ -24,10 +25,10 @@ from cgtorch.report import ProgressDisplay
 from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings, defaults_of
-from cgtorch.runs.storage import stage_knowledge
 from cgtorch.runs.stored_run import SKILL, StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
-from cgtorch.training.failures import Failure, failures_of
+from cgtorch.training.explained import background_of, explained
+from cgtorch.training.failures import Background, failures_of
 from cgtorch.training.session import (
     TrainingRequest,
     UserWatch,
@@ -86,16 +87,17 @@ class Run(StoredRun):
         skill = self.skill if skill is None else skill
         return evaluate_skill(skill, self.domain, scenarios or self.kind, count, seed)
 
-    def failures(self, score: Score, skill: Skill | None = None) -> list[Failure]:
-        """The kinds of failure in a score of `evaluate`, each with its way through the graph."""
-        known = stage_knowledge(self, self.folder / self.stages[-1])
+    def failures(self, score: Score, skill: Skill | None = None) -> Failures:
+        """Why a skill fails in a score of `evaluate`: kinds of failure, causes, and advice."""
+        last = folder_of_last(self)
+        known = Background() if last is None else background_of(self, last)
         return failures_of(self.skill if skill is None else skill, self.domain, score, known)
 
     def report(self, path: Path | str) -> None:
         """Write the run as one HTML page."""
         from cgtorch.report.page import report_page
 
-        write_bytes(Path(path), report_page(self))
+        write_bytes(Path(path), report_page(self, explained(self)))
 
     def resume(
         self,

@@ -94,10 +94,12 @@ def test_code_is_not_imported_because_a_run_names_it(
     assert listing(carts) == before
 
 
-def test_only_a_tabletop_can_be_watched(shell: Shell, carts: Path) -> None:
+def test_a_domain_is_not_imported_to_watch_it_unless_it_is_trusted(
+    shell: Shell, carts: Path
+) -> None:
     for place in ("run", "run/up"):
         message = shell.refuses(VIEW, place)
-        assert f"'{place}' is about domain 'own_cart:Cart', and only the tabletop can" in message
+        assert "is about domain 'own_cart:Cart', which is code of its own; if you trust" in message
     assert not (carts / "imported").exists()
 
 

@@ -1,6 +1,7 @@
 """`cgtorch-evaluate`: a run, a stage of it, a skill file; for people and for programs."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from command_line import EVALUATE, Shell, edited, listing
 from told_by_runs import logged
 from trained import Trained, copied
 
+from cgtorch.commands import common
 from cgtorch.ground.statistics import wilson
 from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.storage import load_knowledge
@@ -58,21 +60,52 @@ def test_a_run_and_its_stages(
 
 
 def test_why_a_skill_fails(shell: Shell, trained: Trained, tmp_path: Path) -> None:
-    words = trained.folder, "--count", 30, "--scenarios", "far", "--failures", tmp_path / "why"
+    words = trained.folder, "--count", 8, "--scenarios", "far", "--failures", tmp_path / "why"
     ended = shell.does(EVALUATE, *words)
     text = (tmp_path / "why" / "failures.md").read_text()
     assert f"kinds of failure: {text.count('## ')}, in {tmp_path / 'why' / 'failures.md'}" in (
         ended.out
     )
     run, skill = last_skill(trained.folder)
-    score = evaluate_skill(skill, run.domain, "far", 30, 0)
-    assert f"{30 - score.successes} of 30 scenarios failed." in text
-    kinds = json.loads((tmp_path / "why" / "failures.json").read_text())["kinds"]
+    score = evaluate_skill(skill, run.domain, "far", 8, 0)
+    assert f"{8 - score.successes} of 8 scenarios fail." in text
+    data = json.loads((tmp_path / "why" / "failures.json").read_text())
+    assert all(line in ended.out for line in (data["blame"], data["advice"][0]["text"]))
+    kinds = data["kinds"]
     assert all(act["chance"] is not None for kind in kinds for act in kind["way"])
     told = shell.told(EVALUATE, *words)
     assert [row["succeeded"] for row in told["rows"]] == score.succeeded.tolist()
+    for number, row in enumerate(told["rows"]):
+        own = [i for i, kind in enumerate(kinds, 1) if number in kind["scenarios"]]
+        assert row["failure"] == (own[0] if own else None)
     (tmp_path / "file").touch()
     assert "file" in shell.refuses(EVALUATE, trained.folder, "--failures", tmp_path / "file")
+
+
+@pytest.mark.parametrize(
+    ("display", "words", "chosen"),
+    [
+        ({}, ["--failures", "why"], "egl"),
+        ({"DISPLAY": ":0"}, ["--failures", "why"], None),
+        ({"MUJOCO_GL": "glfw"}, ["--failures", "why"], "glfw"),
+        ({}, [], None),
+    ],
+)
+def test_films_of_failures_are_drawn_by_egl_where_there_is_no_display(
+    shell: Shell,
+    monkeypatch: pytest.MonkeyPatch,
+    display: dict[str, str],
+    words: list[str],
+    chosen: str | None,
+) -> None:
+    """Before anything of a domain is imported, so also before it is known that there is no run."""
+    monkeypatch.setattr(common, "find_library", lambda name: name)  # as on any machine with EGL
+    for name in ("DISPLAY", "MUJOCO_GL"):
+        monkeypatch.setenv(name, display.get(name, ""))
+        if name not in display:
+            monkeypatch.delenv(name)
+    shell.refuses(EVALUATE, "nowhere", *words)
+    assert os.environ.get("MUJOCO_GL") == chosen
 
 
 def test_a_skill_file_alone(shell: Shell, trained: Trained, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from trained import Trained, interrupted
 from cgtorch.report.page import report_page
 from cgtorch.runs.journal import recalled_generations
 from cgtorch.runs.stored_run import read_run
+from cgtorch.training.explained import explained
 
 
 def test_one_file_is_written_and_replaced_only_when_asked(shell: Shell, tmp_path: Path) -> None:
@@ -21,7 +22,8 @@ def test_one_file_is_written_and_replaced_only_when_asked(shell: Shell, tmp_path
     data = page.read_bytes()
     assert (ended.err, ended.out) == ("", f"run as a page: page.html, {len(data)} bytes\n")
     assert listing(tmp_path) == before | {"page.html"}
-    assert data == report_page(read_run(folder))
+    run = read_run(folder)
+    assert data == report_page(run, explained(run))
     page.write_text("precious")
     assert "'page.html' exists; choose another --output or add --force" in shell.refuses(*command)
     assert page.read_text() == "precious"
@@ -42,6 +44,7 @@ def test_a_run_that_was_interrupted(shell: Shell, tmp_path: Path, trained: Train
     begun = f"S1 has begun and is not finished; its journal knows {known} "
     assert any(line.startswith(begun) for line in said)
     assert "These are the last ones." in words(page.get_element_by_id("models"))
+    assert "of 40 near, " in words(page.get_element_by_id("failures"))
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,8 @@ class Camera:
         self.view.azimuth = float(numpy.degrees(numpy.arctan2(aside, ahead))) + side * BEHIND
         self.pictures: list[Any] = []
         self.renderers: dict[int, Any] = {}
-        self.last = -1
+        self.acts: list[int] = []
+        self.act, self.last = 0, -1
 
     def __call__(self, model: Model) -> None:
         """Take a picture if it is due."""
@@ -51,6 +52,11 @@ class Camera:
         mine = self.renderers[id(model.model)]
         mine.update_scene(model.data, self.view, self.shown)
         self.pictures.append(mine.render().copy())
+        self.acts.append(self.act)
+
+    def end_act(self) -> None:
+        """An action of the skill has ended."""
+        self.act += 1
 
 
 WorldIn: TypeAlias = Callable[[Physics, Scenarios], ObservedTabletop]
@@ -67,7 +73,7 @@ def film_of(
     camera = Camera(scenario, width)
     watched = replace(physics, watch=camera, models={})
     try:
-        end = execute(skill, world_in(watched, scenario)).end
+        end = execute(skill, world_in(watched, scenario), ended=camera.end_act).end
     finally:
         for each in camera.renderers.values():
             each.close()
@@ -75,4 +81,4 @@ def film_of(
         raise SettingsError(
             f"skill {skill.name!r} moves nothing on this scenario; try another one (--seed 1)"
         )
-    return Film(camera.pictures, LASTS, end)
+    return Film(camera.pictures, LASTS, end, camera.acts)

@@ -1,21 +1,15 @@
-"""Which pages may connect to the viewer: its own only.
-
-A browser lets any page connect to a server on its machine, and tells the server by `Origin` which
-page it is. By a name of their own for this machine (DNS rebinding), strangers would be of the same
-origin, so that the name in `Host` has to be one of this machine, too.
-"""
+"""Which pages may connect to the viewer: its own only."""
 
 import http
-import ipaddress
-import platform
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
-from urllib.parse import urlsplit
 
 import websockets.asyncio.server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
+
+from cgtorch.ground.origins import is_own
 
 Answer = Callable[[Any, Request], Response | None]
 """Answers a request, or lets it open a connection by None."""
@@ -31,7 +25,8 @@ def own_pages_only(host: str) -> Iterator[None]:
 
     def guarded(*given: Any, process_request: Answer | None = None, **how: Any) -> Any:
         def answer(connection: Any, request: Request) -> Response | None:
-            if not is_own(request.headers, host):
+            asked, origins = map(request.headers.get_all, ("Host", "Origin"))
+            if not is_own(asked, origins, host):
                 said = b"open the viewer itself, by an address or by the name that --host has\n"
                 return Response(http.HTTPStatus.FORBIDDEN, "FORBIDDEN", Headers(), said)
             return process_request(connection, request) if process_request else None
@@ -43,23 +38,3 @@ def own_pages_only(host: str) -> Iterator[None]:
         yield
     finally:
         websockets.asyncio.server.serve = serve  # type: ignore[misc]
-
-
-def is_own(headers: Headers, host: str) -> bool:
-    """Whether a request calls this machine by its own name, and is of a page from there."""
-    try:
-        asked, origins = headers["Host"], headers.get_all("Origin")
-        name = urlsplit(f"//{asked}").hostname or ""
-        pages = [urlsplit(origin).netloc for origin in origins]
-    except (KeyError, ValueError, LookupError):
-        return False
-    known = name in {"localhost", host.lower(), platform.node().lower()} or _is_address(name)
-    return known and all(page == asked for page in pages)
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True

@@ -1,0 +1,132 @@
+"""Why the last skill of a run fails, from the run's folder alone."""
+
+from pathlib import Path
+from typing import Any
+
+from cgtorch.domains.domain import counting
+from cgtorch.domains.failures import Explained, Searched, Tried
+from cgtorch.graphs import load_skill
+from cgtorch.runs.chosen import folder_of_last
+from cgtorch.runs.log import Row, read_log
+from cgtorch.runs.storage import load_scenarios, stage_knowledge
+from cgtorch.runs.stored_run import SKILL, StoredRun
+from cgtorch.training.advice import MODELS, unskilled
+from cgtorch.training.evaluate import evaluate_skill, joined, try_on
+from cgtorch.training.failures import Background, failures_of
+from cgtorch.training.train import FRESH, FRESH_SEED
+
+EPISODES = 100  # fresh scenarios of a run in rounds
+KNOWN = 24  # scenarios that training has missed, the last ones
+MISSED = "missed in training"
+
+
+def explained(run: StoredRun) -> Explained | None:
+    """Why the last skill of a run fails; None for a robot, which cannot be put back.
+
+    It is tried on fresh scenarios of every stage so far, and on some that training has missed.
+    """
+    if run.settings.driver:
+        return None
+    log, folder = read_log(run.folder), folder_of_last(run)
+    if folder is None:
+        return Explained(unskilled(searched_of(log, ""), _where(run)))
+    skill = load_skill(folder / SKILL, run.actions)
+    seed = FRESH_SEED + run.settings.seed
+    scores = {
+        kind: evaluate_skill(skill, run.domain, kind, count, seed)
+        for kind, count in _wanted(run, log).items()
+    }
+    if (folder / "scenarios.json").is_file():
+        _, missed = load_scenarios(folder / "scenarios.json", run.like())
+        if len(missed):
+            scores[MISSED] = try_on(skill, run.domain, missed[-KNOWN:])
+    tried = tuple(Tried(kind, each.tried, each.successes) for kind, each in scores.items())
+    score = joined([*scores.values()])
+    found = failures_of(skill, run.domain, score, background_of(run, folder, log), tried)
+    return Explained(found, seed, skill, score.scenarios, score.succeeded)
+
+
+def background_of(run: StoredRun, folder: Path, log: list[Row] | None = None) -> Background:
+    """What is known of the skill in the folder of a stage or round.
+
+    Of the last skill of a run, it is the search for a better one that is told, if it has begun.
+    """
+    known, modelled = stage_knowledge(run, folder), run.learns or run.imagines
+    log = read_log(run.folder) if log is None else log
+    begun = [str(row["stage"]) for row in log if row["event"] == "stage"]
+    last = begun[-1] if begun and _is_last(run, folder) else folder.name
+    return Background(known, modelled, searched_of(log, last))
+
+
+def _is_last(run: StoredRun, folder: Path) -> bool:
+    """Whether a folder is that of the last skill of a run."""
+    last = folder_of_last(run)
+    return last is not None and last.resolve() == folder.resolve()
+
+
+def _where(run: StoredRun) -> str:
+    """Where the skills of a run are evolved."""
+    if run.learns:
+        return MODELS
+    return "a Γ with rewards" if run.imagines else "the world itself, so no model is to blame"
+
+
+def _wanted(run: StoredRun, log: list[Row]) -> dict[str, int]:
+    """The kinds of scenarios to try, with their numbers: those of all stages that have begun."""
+    stages = run.domain.stages
+    begun = [row["stage"] for row in log if row["event"] == "stage" and row["stage"] in stages]
+    if begun and not run.rounds:
+        return dict.fromkeys((stages[name] for name in begun), FRESH)
+    return {run.kind: FRESH if counting(run.domain) else EPISODES}
+
+
+def searched_of(log: list[Row], stage: str) -> Searched | None:
+    """What a log says of the search for the skill of a stage, of the last one by default.
+
+    None if it has nothing of that stage.
+    """
+    known = {row.get("stage") for row in log}
+    begun = [str(row["stage"]) for row in log if row["event"] in ("stage", "generation")]
+    stage = stage or (begun[-1] if begun else "")
+    rows = [row for row in log if row["event"] == "generation" and row["stage"] == stage]
+    ended, value = _end(log, stage)
+    if not rows:
+        none = stage not in known and ended == "interrupted"
+        return None if none else Searched(stage, 0, 0, 1.0, False, ended, value)
+    last = [row for row in rows if row["candidate"] == rows[-1]["candidate"]]
+    sizes = [(row["solved_w"] + row["solved_m"], row["size_w"] + row["size_m"]) for row in rows]
+    met = [row for row in log if row["event"] == "asked" and row["stage"] == stage]
+    return Searched(
+        stage=stage,
+        generations=len(rows),
+        limit=last[-1]["limit"],
+        solving=1 - min(row["unsolved"] for row in rows),
+        rising=_rises(last),
+        ended=ended,
+        value=value,
+        imagined=max(sizes),
+        met=(sum(row["succeeded"] for row in met), sum(row["episodes"] for row in met)),
+    )
+
+
+def _rises(rows: list[Row]) -> bool:
+    """Whether an evolution reached its limit, and its fitness rose in its last quarter."""
+    best = [row["best"] for row in rows if row["best"] is not None]
+    before = best[: len(best) * 3 // 4]
+    return len(rows) >= rows[-1]["limit"] and bool(before) and max(best) > max(before)
+
+
+def _end(log: list[Row], stage: str) -> tuple[str, float]:
+    """Why the search of a stage ended, and the value that it reached; see `Searched`."""
+    own: dict[str, Any] = {row["event"]: row for row in log if row.get("stage") == stage}
+    ends = [row for row in log if row["event"] == "ended"]
+    practised = own.get("practised")
+    if ends and ends[-1].get("reached") is True:
+        return "goal", float(ends[-1].get("target") or 0)
+    if "failed" in own:
+        return "failed", 0.0
+    if practised and 0 < practised["wanted"] <= practised["in_a_row"]:
+        return "practice", float(practised["wanted"])
+    if ends and ends[-1].get("reached") is False:
+        return "limits", 0.0
+    return ("finished" if "result" in own else "interrupted"), 0.0

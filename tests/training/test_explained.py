@@ -1,0 +1,106 @@
+"""What a run's folder says of its last skill, and of the search for it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from driven_cart import CartDriver
+from trained import Trained, copied
+
+import cgtorch
+from cgtorch import open_run
+from cgtorch.runs.log import read_log
+from cgtorch.training.explained import background_of, explained, searched_of
+
+
+def rows(count: int, limit: int, best: list[float], **more: Any) -> list[dict[str, Any]]:
+    about = {"solved_w": 1, "size_w": 2, "solved_m": 0, "size_m": 3, "unsolved": 0.5, **more}
+    return [
+        {
+            "event": "generation", "stage": "S0", "candidate": "S0.1", "limit": limit,
+            "best": best[i * len(best) // count], **about,
+        }
+        for i in range(count)
+    ]  # fmt: skip
+
+
+def test_a_trained_stage_has_ended_with_practice(trained: Trained) -> None:
+    log = read_log(trained.folder)
+    found = searched_of(log, "S1")
+    assert found is not None
+    own = [row for row in log if row["event"] == "generation" and row["stage"] == "S1"]
+    assert (found.stage, found.generations, found.limit) == ("S1", len(own), 15)
+    assert (found.ended, found.value) == ("practice", 4)
+    assert found.solving == pytest.approx(1 - min(row["unsolved"] for row in own))
+    assert found.imagined[0] == max(row["solved_w"] + row["solved_m"] for row in own)
+    met = [row for row in log if row["event"] == "asked" and row["stage"] == "S1"]
+    assert found.met == (sum(r["succeeded"] for r in met), sum(r["episodes"] for r in met))
+    assert searched_of(log, "") == found, "the last one"
+
+
+@pytest.mark.parametrize(
+    ("best", "count", "rising"),
+    [
+        ([0.1, 0.2, 0.3, 0.4], 20, True),
+        ([0.1, 0.4, 0.4, 0.4], 20, False),
+        ([0.1, 0.2, 0.3, 0.4], 12, False),  # it ended before its limit
+    ],
+)
+def test_fitness_rises_where_it_is_still_better_in_the_last_quarter(
+    best: list[float], count: int, rising: bool
+) -> None:
+    found = searched_of(rows(count, 20, best), "S0")
+    assert found is not None
+    assert found.rising == rising
+
+
+@pytest.mark.parametrize(
+    ("more", "ended"),
+    [
+        ([], ("interrupted", 0)),
+        ([{"event": "result", "stage": "S0"}], ("finished", 0)),
+        ([{"event": "failed", "stage": "S0"}], ("failed", 0)),
+        ([{"event": "failed", "stage": "S1"}], ("interrupted", 0)),
+        ([{"event": "practised", "stage": "S0", "wanted": 4, "in_a_row": 4}], ("practice", 4)),
+        ([{"event": "practised", "stage": "S0", "wanted": 4, "in_a_row": 3}], ("interrupted", 0)),
+        ([{"event": "practised", "stage": "S0", "wanted": 0, "in_a_row": 0}], ("interrupted", 0)),
+        ([{"event": "ended", "stage": "auto", "reached": True, "target": 0.9}], ("goal", 0.9)),
+        ([{"event": "ended", "stage": "auto", "reached": False, "target": 0.9}], ("limits", 0)),
+        ([{"event": "ended", "stage": "S0"}], ("interrupted", 0)),
+    ],
+)
+def test_why_a_search_ended(more: list[dict[str, Any]], ended: tuple[str, float]) -> None:
+    found = searched_of([*rows(3, 20, [0.5]), *more], "S0")
+    assert found is not None
+    assert (found.ended, found.value) == ended
+    alone = searched_of(more, "S0")
+    told = ended[0] != "interrupted" or any(row["stage"] == "S0" for row in more)
+    assert (alone and alone.ended) == (ended[0] if told else None)
+
+
+def test_a_run_without_a_skill_and_a_run_on_a_robot(tmp_path: Path) -> None:
+    run = cgtorch.train(
+        "examples.cart:Cart", tmp_path / "cart", stage="auto", minutes=1e-9, quiet=True
+    )
+    why = explained(run)
+    assert why is not None
+    assert why.skill is None
+    assert why.found.blame.startswith("There is no skill yet.")
+    on_robot = open_run(tmp_path / "cart", "examples.cart:Cart")
+    object.__setattr__(on_robot.settings, "driver", f"driven_cart:{CartDriver.__name__}")
+    assert explained(on_robot) is None
+
+
+def test_of_a_last_skill_it_is_the_search_for_a_better_one_that_is_told(
+    trained: Trained, tmp_path: Path
+) -> None:
+    folder = copied(trained, tmp_path / "run")
+    begun = {"event": "stage", "stage": "S2", "stages": ["S2"], "size_w": 0, "size_m": 0}
+    with (folder / "log.jsonl").open("a") as log:
+        log.write(json.dumps({**begun, "time": 0, "attempts": 1}) + "\n")
+    run = open_run(folder)
+    searched = [background_of(run, run.folder / name).searched for name in ("S0", "S1")]
+    assert [each and each.stage for each in searched] == ["S0", "S2"]
+    assert searched[1]
+    assert searched[1].ended == "interrupted"
