@@ -29,10 +29,10 @@ from cgtorch.runs.stored_run import AUTO, StoredRun, round_name
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, joined, try_on
 from cgtorch.training.start import initial_progress, recall_spent, spent_of
+from cgtorch.training.tally import Tally
 from cgtorch.training.train import (
     Made,
     NotImprovedError,
-    Tally,
     counts,
     make_stage,
     stage_generator,

@@ -4,7 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
 from typing import Any, TypeAlias
 
@@ -12,18 +12,12 @@ import torch
 from torch import Generator
 
 from cgtorch.domains.domain import Domain
-from cgtorch.evolution import Generation, Population
 from cgtorch.graphs import Skill, merged, save_skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError, RunError, SettingsError
 from cgtorch.ground.files import whole_folder, writing
-from cgtorch.improvement.checkpoint import Found
 from cgtorch.improvement.events import (
     Event,
-    EvolutionRecalled,
-    GenerationDone,
-    MeanTested,
-    Practised,
     SkillAccepted,
     StageFailed,
     StageFinished,
@@ -43,6 +37,7 @@ from cgtorch.training.context import Training, for_means
 from cgtorch.training.deadline import deadline
 from cgtorch.training.evaluate import Score, evaluate_skill
 from cgtorch.training.start import initial_progress, recall_spent, spent_of
+from cgtorch.training.tally import Tally
 
 FRESH, OVERALL, FRESH_SEED = 40, 40, 7_000_001
 METHODS = {"compose": improve, "paper": grow}
@@ -53,68 +48,6 @@ Made: TypeAlias = tuple[Progress[Any], dict[str, Any]]
 
 class NotImprovedError(CgtorchError, RuntimeError):
     """A stage found no skill that meets eq. 1 within its budget."""
-
-
-@dataclass
-class Tally:
-    """The cost of a stage, the last skill it accepted, and the fittest individual."""
-
-    generations: int = 0
-    transitions: int = 0
-    searching: float = 0.0  # s
-    seconds: float = 0.0  # of all of it
-    accepted: SkillAccepted[Any] | None = None
-    champion: Population | None = None
-    best: float = -inf  # its fitness
-    skill: Skill | None = None  # the last one that was tried
-    in_a_row: int = 0  # fresh scenarios that the last skill solved
-    episodes: int = 0  # that a search for the best mean has played
-
-    def count(self, event: Event) -> None:
-        """Update by an event."""
-        if isinstance(event, GenerationDone):
-            self._add(1, event.generation, event.seconds)
-        elif isinstance(event, EvolutionRecalled):
-            self._add(event.found.generations, event.found, event.found.seconds)
-        elif isinstance(event, SkillAccepted):
-            self.accepted = event
-        elif isinstance(event, Practised):
-            self.in_a_row, self.skill = event.in_a_row, event.skill
-        elif isinstance(event, MeanTested):
-            self.episodes, self.skill = event.episodes, event.skill
-
-    def _add(self, generations: int, found: Generation | Found, seconds: float) -> None:
-        self.generations += generations
-        self.transitions += found.transitions
-        self.searching += seconds
-        if found.best > self.best:
-            self.champion, self.best = found.champion, found.best
-
-    def result(
-        self,
-        before: Progress[Any],
-        skill: Skill,
-        seconds: float,
-        asked: dict[str, dict[str, int]],
-    ) -> dict[str, Any]:
-        """The common part of the results of stages and rounds, given the progress before.
-
-        `asked` are the world actions of the run so far, by phase.
-        """
-        accepted = self.accepted
-        lost = 0 if accepted is None else int((~accepted.succeeded[accepted.keep]).sum())
-        return {
-            "skill": skill.name,
-            "w_size": len(before.solved),
-            "w_lost": lost,
-            "nodes": skill.num_nodes,
-            "depth": skill.depth,
-            "generations": self.generations,
-            "transitions": self.transitions,
-            "seconds": round(seconds, 1),
-            "search_seconds": round(self.searching, 3),
-            "asked": asked,
-        }
 
 
 def train(training: Training, stage: str) -> list[dict[str, Any]]:

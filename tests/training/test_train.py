@@ -37,11 +37,11 @@ from cgtorch.tabletop.world.scenarios import INSET_MIN, TABLE_DEPTH, TABLE_WIDTH
 from cgtorch.training import train as module
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import evaluate_skill
+from cgtorch.training.tally import Tally
 from cgtorch.training.train import (
     FRESH,
     FRESH_SEED,
     NotImprovedError,
-    Tally,
     stage_generator,
     stages_to_make,
     train,
