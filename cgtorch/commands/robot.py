@@ -68,6 +68,13 @@ NO_JOINT = "none"
     "moves, except those near the floor]",
 )
 @click.option(
+    "--stand",
+    type=click.FloatRange(0.0, 3.0),
+    default=0.0,
+    help="The height of a stand on which the robot is put, m, for an arm that has no base of its "
+    "own.  [none]",
+)
+@click.option(
     "--hold",
     multiple=True,
     metavar="JOINT=POSITION",
@@ -107,6 +114,7 @@ def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: An
         torso_position=rest["torso_position"],
         arms=tuple(_arm(text) for text in rest["arms"]),
         body=rest["body"],
+        stand=rest["stand"],
         held=dict(_position("--hold", text) for text in rest["hold"]),
         home=dict(_position("--home", text) for text in rest["home"]),
     )

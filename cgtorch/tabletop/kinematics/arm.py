@@ -11,14 +11,22 @@ from torch import Tensor
 
 from cgtorch.tabletop.kinematics.inverse_kinematics import (
     PAN_SAMPLES,
+    Heading,
+    NumericalArm,
     SphericalArm,
     closed_form_candidates,
     closed_form_follow,
+    headings,
     numerical_candidates,
     numerical_follow,
 )
 from cgtorch.tabletop.kinematics.solids import Solids
 
+EVERY_POSE = 6
+"""The number of joints from which an arm can reach poses of any rotation."""
+OFF_HEADING = 0.1  # rad that the tool of an arm with fewer may be turned about the vertical
+HALF_SIDE = math.pi / 12  # rad: half of the angle between two approaches
+STEEP = 0.99  # cosine of an approach to the vertical that has no heading of its own
 _CHUNK = 16_384  # rows of forward kinematics at a time: more fall out of the processor's cache
 
 
@@ -91,7 +99,7 @@ class ArmModel:
         mount = self.mount.to(pose)
         if self.closed_form is not None:
             return closed_form_candidates(self.closed_form.to(pose), mount, pose, samples)
-        return numerical_candidates(*self._search(pose), torch.linalg.inv(mount) @ pose)
+        return numerical_candidates(self._numerical(pose), torch.linalg.inv(mount) @ pose)
 
     def follow(self, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Joint positions (M, W, n) at waypoints, in the posture of a solution q (M, n).
@@ -103,7 +111,7 @@ class ArmModel:
         mount = self.mount.to(pose)
         if self.closed_form is not None:
             return closed_form_follow(self.closed_form.to(pose), mount, q, pose)
-        return numerical_follow(*self._search(pose), q, torch.linalg.inv(mount) @ pose)
+        return numerical_follow(self._numerical(pose), q, torch.linalg.inv(mount) @ pose)
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
         """(..., n): the distance of each joint from b to a, the shorter way if it is continuous."""
@@ -117,9 +125,47 @@ class ArmModel:
         lower = torch.where(self.continuous, -math.pi, self.lower)
         return lower, torch.where(self.continuous, math.pi, self.upper)
 
-    def _search(self, like: Tensor) -> tuple[Any, Tensor, Tensor]:
+    def aimed(self, path: Tensor) -> tuple[Tensor, Tensor]:
+        """Paths to objects as the arm can aim at them, and which (B,) it can.
+
+        An arm of fewer than `EVERY_POSE` joints cannot choose the heading of its tool. So each path
+        (B, 5, 4, 4) is turned about the vertical through its grasp to the nearest heading at which
+        the arm reaches that: as far as needed from above, and else up to `HALF_SIDE`.
+        """
+        kept = torch.ones(len(path), dtype=torch.bool, device=path.device)
+        if len(self.joint_names) >= EVERY_POSE:
+            return path, kept
+        grasp, mount = path[:, 2], self.mount.to(path)
+        arm, local = self._numerical(path, math.pi), torch.linalg.inv(mount) @ grasp
+        row, q = numerical_candidates(arm, local)
+        turns = headings(arm, q, local[row])
+        order = turns.abs().argsort()
+        order = order[row[order].argsort(stable=True)]
+        first = order[torch.cat([row[order][:1] >= 0, row[order].diff() > 0])]
+        turn = torch.full_like(path[:, 0, 0, 0], math.nan)
+        turn[row[first]] = turns[first]
+        upright = grasp[:, 2, 0].abs() > STEEP
+        kept = upright & turn.isfinite() | (turn.abs() <= HALF_SIDE)
+        return turned(path[kept], turn[kept]), kept
+
+    def _numerical(self, like: Tensor, most: float = OFF_HEADING) -> NumericalArm:
         lower, upper = self.turn_limits
-        return self.chain(like)[0], lower.to(like), upper.to(like)
+        chain, heading = self.chain(like)[0], None
+        if len(self.joint_names) < EVERY_POSE:
+            heading = Heading(self.mount[2, :3].to(like), most)
+        return NumericalArm(chain, lower.to(like), upper.to(like), heading)
+
+
+def turned(path: Tensor, turn: Tensor) -> Tensor:
+    """Paths (B, W, 4, 4), turned (B,) about the vertical through the third waypoint, rad."""
+    cos, sin, zero = turn.cos(), turn.sin(), torch.zeros_like(turn)
+    about = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1], 1)
+    about = about.view(-1, 1, 3, 3)
+    centre = path[:, 2:3, :3, 3:]
+    moved = path.clone()
+    moved[..., :3, :3] = about @ path[..., :3, :3]
+    moved[..., :3, 3:] = centre + about @ (path[..., :3, 3:] - centre)
+    return moved
 
 
 def built_chain(xml: bytes, links: tuple[str, str], mount: Tensor) -> tuple[Any, ChainTable]:
