@@ -25,6 +25,11 @@ MOVING = ("revolute", "continuous", "prismatic")
 _JOINT_TYPES = (*MOVING, "fixed", "floating", "planar")
 ROUNDING = 1e-6  # of moments of inertia
 _HUGE = sys.float_info.max  # which is written where no limit is meant
+_SAFE = {
+    "resolve_entities": False, "no_network": True, "load_dtd": False, "remove_comments": True,
+    "remove_pis": True, "remove_blank_text": True,
+}  # fmt: skip
+"""How XML is parsed, so that nothing that it names is read."""
 _NUMBERS = {
     "origin": (3, MOST, ("xyz", "rpy")),
     "axis": (3, MOST, ("xyz",)),
@@ -164,12 +169,9 @@ def parsed(data: bytes, where: str, huge: bool = False) -> Any:
     RobotError if it is not well-formed or has a document type, which can name entities and files.
     `huge` is whether it may be deep and have long texts.
     """
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=huge,
-        remove_comments=True, remove_pis=True, remove_blank_text=True,
-    )  # fmt: skip
+    options = {**_SAFE, "huge_tree": huge}
     try:
-        root = etree.fromstring(data, parser)
+        root = _tree(data, options)
     except (etree.XMLSyntaxError, ValueError) as error:
         reason = _line(error)[:100]
         raise RobotError(f"{where} is not well-formed XML ({reason}): correct it") from None
@@ -179,6 +181,23 @@ def parsed(data: bytes, where: str, huge: bool = False) -> Any:
             f"{where} has a document type ({info.doctype!r:.100}), which can name entities and "
             "files: remove the <!DOCTYPE ...> declaration"
         )
+    return root
+
+
+def _tree(data: bytes, options: dict[str, bool]) -> Any:
+    """The root element, also where a name has a prefix that nothing declares, as ROS reads it."""
+    try:
+        return etree.fromstring(data, etree.XMLParser(**options))
+    except etree.XMLSyntaxError as error:
+        kinds = {entry.type for entry in error.error_log}
+        if kinds != {etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE}:
+            raise
+    root = etree.fromstring(data, etree.XMLParser(**options, recover=True))
+    for element in list(root.iter("*")):
+        for name in [name for name in element.attrib if ":" in name]:
+            del element.attrib[name]
+        if ":" in element.tag and element is not root:
+            element.getparent().remove(element)
     return root
 
 

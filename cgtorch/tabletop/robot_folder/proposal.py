@@ -15,12 +15,13 @@ from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf
 from cgtorch.tabletop.robot_folder.base import add_frame, base_of, placed_base, rest_positions
 from cgtorch.tabletop.robot_folder.chains import (
     ARM,
+    FEW_JOINTS,
     LEAST_JOINTS,
     chains_of,
     slides_upright,
     told,
 )
-from cgtorch.tabletop.robot_folder.solid import solid_hands
+from cgtorch.tabletop.robot_folder.solid import solid_arms
 from cgtorch.tabletop.robot_folder.structure import (
     BEYOND_END,
     Array,
@@ -90,7 +91,7 @@ def propose(
         shared, chains = _chains(structure, hands)
     else:
         hands, shared, chains = _found(structure, notes)
-    structure = replace(structure, urdf=solid_hands(structure, hands, notes))
+    structure = replace(structure, urdf=solid_arms(structure, chains, hands, notes))
     structure.urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
     urdf, base = placed_base(structure, found, chains, wishes.stand, notes)
     structure = Structure(urdf, base, corners)
@@ -140,7 +141,7 @@ def _found(structure: Structure, notes: list[str]) -> tuple[list[str], list[Any]
     others = told(every)
     if not arms:
         raise RobotError(
-            f"URDF {str(structure.urdf.path)!r} has no chain of {LEAST_JOINTS} joints or more from "
+            f"URDF {str(structure.urdf.path)!r} has no chain of {FEW_JOINTS} joints or more from "
             f"a body or torso to a hand{f' (no arms: {others})' if others else ''}: name the arms "
             "by --arm NAME=BASE_LINK:TOOL_FRAME"
         )

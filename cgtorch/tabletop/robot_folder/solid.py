@@ -25,14 +25,18 @@ def solid(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
     return _seen_as_solid(urdf, [link.name for link in urdf.model.robot.links]), (note,)
 
 
-def solid_hands(structure: Structure, hands: Sequence[str], notes: list[str]) -> Urdf:
-    """The URDF with what is seen of hands, of which nothing collides, as what collides."""
-    links = [structure.hanging(hand) for hand in hands]
+def solid_arms(
+    structure: Structure, chains: Sequence[Sequence[Any]], hands: Sequence[str], notes: list[str]
+) -> Urdf:
+    """The URDF with what is seen of arms and hands, of which nothing collides, as what collides."""
+    begins = [chain[0].child for chain in chains if chain]
+    links = [structure.hanging(link) for link in (*begins, *hands)]
     bare = [each for each in links if not any(structure.shapes(name) for name in each)]
     seen = [name for each in bare for name in each if structure.urdf.link(name).visuals]
     if not seen:
         return structure.urdf
-    notes.append(f"{', '.join(seen)} have no collision shapes, so that their visual ones are taken")
+    names = ", ".join(dict.fromkeys(seen))
+    notes.append(f"{names} have no collision shapes, so that their visual ones are taken")
     return _seen_as_solid(structure.urdf, seen)
 
 

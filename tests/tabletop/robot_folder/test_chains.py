@@ -83,7 +83,7 @@ def test_joints_count_after_the_torso(tmp_path):
     structure = structure_of(tmp_path, BASE, torso, *two, neck)
     assert kinds(structure) == {"arm0_5": "arm", "arm1_5": "arm", "neck2": SHORT}
     assert arms(structure) == {"arm0_5": 6, "arm1_5": 6}
-    ends = [chain(f"arm{i}_", 4, "waist2", DOWN, side) for i, side in enumerate(SIDES)]
+    ends = [chain(f"arm{i}_", 3, "waist2", DOWN, side) for i, side in enumerate(SIDES)]
     assert arms(structure_of(tmp_path, BASE, torso, *ends)) == {}
 
 

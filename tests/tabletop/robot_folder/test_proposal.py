@@ -84,10 +84,10 @@ def test_a_frame_of_the_world_is_left_out(tmp_path):
 
 
 def test_no_arm_is_said_with_what_to_do(tmp_path):
-    text = f'<robot name="x"><link name="a">{box("1 1 1")}</link>{chain("b", 4, "a")}</robot>'
-    with pytest.raises(RobotError, match=r"no chain of 5 joints or more.*--arm NAME=BASE"):
+    text = f'<robot name="x"><link name="a">{box("1 1 1")}</link>{chain("b", 3, "a")}</robot>'
+    with pytest.raises(RobotError, match=r"no chain of 4 joints or more.*--arm NAME=BASE"):
         proposed(text, tmp_path)
-    wish = Wishes(arms=(Arm("short", "a", "b3"),))
+    wish = Wishes(arms=(Arm("short", "a", "b2"),))
     assert proposed(text, tmp_path, wish).words.arms == wish.arms
 
 
