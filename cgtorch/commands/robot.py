@@ -33,6 +33,12 @@ NO_JOINT = "none"
     "package. Repeat the option for several. ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are searched "
     "as well.",
 )
+@click.option(
+    "--srdf",
+    type=common.A_PATH,
+    help="An SRDF, whose groups and end effectors name the arms, whose states name their home, and "
+    "whose disabled collisions are never checked.  [the one beside the URDF]",
+)
 @click.option("--name", "robot_name", help="The name of the robot.  [as in the URDF]")
 @click.option(
     "--base-frame", help="The base link, on the floor; positions are relative to it.  [the root]"
@@ -119,7 +125,7 @@ def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: An
         home=dict(_position("--home", text) for text in rest["home"]),
     )
     with common.waiting(f"fitting shapes to {urdf}", rest["quiet"]):
-        made = make_robot_folder(urdf, output, wishes, package_path)
+        made = make_robot_folder(urdf, output, wishes, package_path, rest["srdf"])
     for line in _summary(made, output):
         common.say(line)
 

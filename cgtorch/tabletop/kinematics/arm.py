@@ -58,6 +58,7 @@ class ArmModel:
         mount: (4, 4) pose of the arm's base link in the robot's base frame.
         reach: The largest distance between the origins of the base link and of the tool frame, m.
         solids: The collision shapes of the URDF.
+        solid_links: The link of each of these.
         closed_form: The parameters of closed-form inverse kinematics, or None without it.
     """
 
@@ -69,6 +70,7 @@ class ArmModel:
     mount: Tensor
     reach: float
     solids: Solids
+    solid_links: tuple[str, ...]
     closed_form: SphericalArm | None
     _xml: bytes
     _links: tuple[str, str]

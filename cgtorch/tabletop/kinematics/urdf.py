@@ -217,7 +217,7 @@ def _check_numbers(root: Any, where: str) -> None:
             if text is None:
                 continue
             parts = text.replace(",", " ").split() if count > 1 else [text]
-            if len(parts) != count or not all(abs(_number(part)) <= most for part in parts):
+            if len(parts) != count or not all(abs(number(part)) <= most for part in parts):
                 wanted = "three finite numbers" if count > 1 else "a finite number"
                 raise RobotError(
                     f"{where}, line {element.sourceline}: {element.tag} {name} is {text!r}: "
@@ -225,7 +225,8 @@ def _check_numbers(root: Any, where: str) -> None:
                 )
 
 
-def _number(text: str) -> float:
+def number(text: str) -> float:
+    """The number that a text is, or NaN."""
     try:
         return float(text)
     except ValueError:

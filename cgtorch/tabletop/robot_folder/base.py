@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,16 +27,9 @@ LEAST = 0.1  # m: the sides of a stand
 
 @dataclass(frozen=True)
 class Base:
-    """The base of a robot.
-
-    Attributes:
-        link: The link that carries all else.
-        height: How far it is above the floor, m.
-        given: Whether the user named it, so that it stays as it is.
-    """
+    """The base of a robot: the link that carries all else, and whether the user named it."""
 
     link: str
-    height: float = 0.0
     given: bool = False
 
 
@@ -47,18 +40,24 @@ def base_of(structure: Structure, named: str | None, notes: list[str]) -> Base:
     link = _without_virtual(structure, notes)
     if link in PLACES and len(structure.below[link]) == 1:
         link = structure.below[link][0].child
-    structure = replace(structure, base=link)
-    structure.urdf.model.update_cfg(rest_positions(structure.urdf))
-    known = [each for each in structure.rigid(link) if "footprint" in each]
+    return Base(link)
+
+
+def _height(structure: Structure, chains: list[list[Any]], notes: list[str]) -> float:
+    """How far the base is above the floor, m: of its footprint, or else of all but the arms."""
+    known = [link for link in structure.rigid(structure.base) if "footprint" in link]
     if known:
         ground = float(structure.pose(known[0])[2, 3])
     else:
-        every = [structure.points(name) for name in structure.hanging(link)]
-        ground = float(np.concatenate([np.zeros((0, 3)), *every])[:, 2].min(initial=math.inf))
+        every = structure.hanging(structure.base)
+        moved = {link for chain in chains if chain for link in structure.hanging(chain[0].child)}
+        found = [structure.points(link) for link in every if link not in moved]
+        found = found if any(map(len, found)) else [structure.points(link) for link in every]
+        ground = float(np.concatenate([np.zeros((0, 3)), *found])[:, 2].min(initial=math.inf))
     if math.isfinite(ground):
-        return Base(link, -ground if abs(ground) > OFF_FLOOR else 0.0)
-    notes.append(f"nothing of the robot collides, so that {link!r} is taken to be on the floor")
-    return Base(link)
+        return -ground if abs(ground) > OFF_FLOOR else 0.0
+    notes.append(f"nothing collides, so that {structure.base!r} is taken to be on the floor")
+    return 0.0
 
 
 def rest_positions(urdf: Urdf, others: Sequence[str] = ()) -> dict[str, float]:
@@ -83,8 +82,8 @@ def placed_base(
         if stand:
             raise RobotError(f"a stand needs a base frame of its own, not {base.link!r}: name none")
         return urdf, base.link
-    turn = _forward(structure, chains)
-    if not (base.height or turn or stand):
+    height, turn = _height(structure, chains, notes), _forward(structure, chains)
+    if not (height or turn or stand):
         return urdf, base.link
     name = _unused(structure, FLOOR_LINK)
     root = etree.fromstring(urdf.xml)
@@ -94,11 +93,11 @@ def placed_base(
         if not kept.issuperset(ends):
             root.remove(element)
     pose = transformations.rotation_matrix(-turn, [0, 0, 1])
-    pose[2, 3] = base.height + stand
+    pose[2, 3] = height + stand
     add_frame(root, name, base.link, pose, above=True)
-    if base.height:
+    if height:
         notes.append(
-            f"{base.link!r} is {base.height:.3f} m above the lowest point of the robot, so the "
+            f"{base.link!r} is {height:.3f} m above the lowest point of the robot, so the "
             f"link {name!r} was added there"
         )
     if turn:
@@ -107,7 +106,7 @@ def placed_base(
             f"the link {name!r} was added, whose x leads there"
         )
     if stand:
-        _add_stand(root, structure, base, name, _unused(structure, STAND_LINK), pose)
+        _add_stand(root, structure, name, pose, stand)
         notes.append(f"{base.link!r} stands on {STAND_LINK!r}, {stand} m high, which was added")
     return checked_urdf(urdf.path, root), name
 
@@ -136,19 +135,14 @@ def _ends(joint: Any) -> list[str | None]:
     return [joint.find(role).get("link") for role in ("parent", "child")]
 
 
-def _add_stand(
-    root: Any, structure: Structure, base: Base, floor: str, name: str, pose: Array
-) -> None:
-    """Add a box below the base, as wide as what is fixed to the base."""
-    points = structure.seen(structure.rigid(base.link)) @ pose[:3, :3].T
+def _add_stand(root: Any, structure: Structure, floor: str, pose: Array, stand: float) -> None:
+    """Add a box of some height on the floor, as wide as what is fixed to the base."""
+    points = structure.seen(structure.rigid(structure.base)) @ pose[:3, :3].T
     points = points if len(points) else np.zeros((1, 3))
     low, high = points.min(axis=0), points.max(axis=0)
-    sides = np.maximum(high - low, LEAST)
-    sides[2] = pose[2, 3] - base.height
-    middle = np.eye(4)
-    middle[:3, 3] = (low + high) / 2
-    middle[2, 3] = sides[2] / 2
-    add_frame(root, name, floor, middle)
+    sides, middle = np.maximum(high - low, LEAST), np.eye(4)
+    sides[2], middle[:3, 3] = stand, [*(low + high)[:2] / 2, stand / 2]
+    add_frame(root, _unused(structure, STAND_LINK), floor, middle)
     box = etree.SubElement(root.findall("link")[-1], "collision")
     etree.SubElement(etree.SubElement(box, "geometry"), "box", size=_words(sides.tolist()))
 

@@ -22,6 +22,7 @@ from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf, read_urdf
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 from cgtorch.tabletop.robot_folder.reach import Reached, reached
 from cgtorch.tabletop.robot_folder.solid import solid, sound_inertials
+from cgtorch.tabletop.robot_folder.srdf import Semantics, read_srdf, srdf_beside
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 URDF, PICTURE, SHAPES = "robot.urdf", "robot.png", "shapes.json"
@@ -51,18 +52,27 @@ class Made:
 
 
 def make_robot_folder(
-    urdf: Path, folder: Path, wishes: Wishes | None = None, packages: Sequence[Path | str] = ()
+    urdf: Path,
+    folder: Path,
+    wishes: Wishes | None = None,
+    packages: Sequence[Path | str] = (),
+    srdf: Path | None = None,
 ) -> Made:
     """Make a folder with robot.urdf, which has no meshes, robot.json, shapes.json and robot.png.
 
-    RobotError if the URDF or one of its collision meshes cannot be read, no arm is found, or a wish
+    The arms, home and pairs that never collide of an SRDF are used, by default of that beside the
+    URDF, where the wishes do not say otherwise.
+
+    RobotError if the URDF, the SRDF or a collision mesh cannot be read, no arm is found, or a wish
     cannot be met; RunError if the folder exists or cannot be written. Then nothing is written.
     """
     read = checked_urdf(urdf, read_urdf(urdf))
+    srdf = srdf or srdf_beside(urdf)
+    semantics = Semantics() if srdf is None else read_srdf(srdf, read)
     plain, meshes = without_meshes(read, package_places(packages))
     plain, notes = solid(plain)
     plain, inertials = sound_inertials(plain)
-    wishes = wishes or Wishes()
+    wishes = _with_semantics(wishes or Wishes(), semantics)
     proposal = propose(plain, wishes, _corners(read, meshes))
     with whole_folder(folder) as place:
         write_bytes(place / URDF, proposal.urdf.xml)
@@ -75,7 +85,26 @@ def make_robot_folder(
             raise RobotError(str(error).replace(str(place), str(folder))) from None
         write_json(place / SHAPES, [_record(each) for each in meshes])
         write_bytes(place / PICTURE, robot_picture(robot))
-    return Made(robot, meshes, inertials, (*notes, *proposal.notes), reached(robot, wishes.stand))
+    return Made(
+        robot,
+        meshes,
+        inertials,
+        (*semantics.notes, *notes, *proposal.notes),
+        reached(robot, wishes.stand),
+    )
+
+
+def _with_semantics(wishes: Wishes, semantics: Semantics) -> Wishes:
+    """Wishes, and what an SRDF says where there are none."""
+    if wishes.arms:
+        return dataclasses.replace(wishes, excludes=wishes.excludes or semantics.apart)
+    return dataclasses.replace(
+        wishes,
+        groups=semantics.arms,
+        home=wishes.home or semantics.home,
+        held={**semantics.opened, **wishes.held},
+        excludes=wishes.excludes or semantics.apart,
+    )
 
 
 def _at_home(robot: Robot) -> dict[str, float]:

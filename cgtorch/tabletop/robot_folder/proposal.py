@@ -45,6 +45,9 @@ class Wishes:
         name: The name of the robot.
         base_frame, footprint, torso_position, arms, body: As in `RobotDescription`.
         torso_joint: As there; an empty text for none.
+        groups: Arms from the link that carries each to the last link that its joints move, which
+            an SRDF names; their tool frames are proposed.
+        excludes: As in `RobotDescription`.
         stand: The height of a stand on which the robot is put, m; 0 for none.
         held: Positions of joints outside the arms, rad or m.
         home: Positions of the arms' joints while the robot drives, rad or m.
@@ -57,6 +60,8 @@ class Wishes:
     torso_position: float | None = None
     arms: tuple[Arm, ...] = ()
     body: tuple[str, ...] = ()
+    groups: tuple[Arm, ...] = ()
+    excludes: tuple[tuple[str, ...], ...] = ()
     stand: float = 0.0
     held: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     home: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
@@ -86,8 +91,9 @@ def propose(
     found = base_of(Structure(urdf, urdf.model.base_link, corners), wishes.base_frame, notes)
     structure = Structure(urdf, found.link, corners)
     urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
-    if wishes.arms:
-        hands = [_hand_of(structure, arm) for arm in wishes.arms]
+    given = wishes.arms or wishes.groups
+    if given:
+        hands = [_hand_of(structure, arm) for arm in given]
         shared, chains = _chains(structure, hands)
     else:
         hands, shared, chains = _found(structure, notes)
@@ -130,6 +136,7 @@ def propose(
         body=body,
         gripper_joints=held,
         home=wishes.home,
+        excludes=wishes.excludes,
     )
     return Proposal(urdf, words, tuple(notes))
 
