@@ -48,13 +48,16 @@ def reached(robot: Robot, stand: float = 0.0) -> Reached:
     every = graspable(robot, *(torch.cat(parts) for parts in zip(*tables, strict=True)))
     counts = every.view(len(OTHERS), OBJECTS).sum(1).tolist()
     most = max(counts)
-    far, about = min((_lacking(robot, i) for i in range(len(robot.arms))), key=lambda each: each[0])
+    lacks = [_lacking(robot, number) for number in range(len(robot.arms))]
+    nearest = min(range(len(lacks)), key=lambda number: lacks[number][0])
+    far, about, shoulder = lacks[nearest]
     if most:
-        reason = "" if far else f"; {_hindered(robot, (HEIGHT,))}"
+        reason = "" if far else f"; {_hindered(robot, nearest, HEIGHT)}"
         advice = _better(OTHERS[counts.index(most)], most, stand)
     else:
         reason = f"; nor can it at any height from {min(OTHERS):g} to {max(OTHERS):g} m"
-        advice = _hindered(robot, (HEIGHT, *OTHERS))
+        suits = min((HEIGHT, *OTHERS), key=lambda height: abs(height - shoulder))
+        advice = _hindered(robot, nearest, suits)
     return Reached(grasps, f"{about}{reason}; {advice}")
 
 
@@ -74,20 +77,16 @@ def _better(height: float, count: int, stand: float) -> str:
     return f"{found}, or put it on a stand by --stand {round(stand + HEIGHT - height, 2):g}"
 
 
-def _hindered(robot: Robot, heights: tuple[float, ...]) -> str:
-    """What hinders the arms on tables, with how many approaches come how far."""
-    best = max(
-        (*_progress(robot, which, height)[::-1], height, arm.name)
-        for height in heights
-        for which, arm in enumerate(robot.arms)
-    )
-    follows, clear, posed, height, name = best
+def _hindered(robot: Robot, which: int, height: float) -> str:
+    """What hinders an arm on a table of some height, with how many approaches come how far."""
+    posed, clear, follows = _progress(robot, which, height)
     if not posed:
         return (
             "no posture within the limits of the joints brings the tool frame to an object, so "
             "correct the tool frame or the limits if that is wrong"
         )
     total = OBJECTS * len(APPROACHES)
+    name = robot.arms[which].name
     come = f"arm {name!r} has a posture at {posed} of {total} approaches at {height:g} m"
     if not clear:
         return f"{come}, but all touch the table or the robot: look for shapes that are too big"
@@ -116,8 +115,8 @@ def _progress(robot: Robot, which: int, height: float) -> tuple[int, int, int]:
     return len(row.unique()), len(row[clear].unique()), len(follows.unique())
 
 
-def _lacking(robot: Robot, number: int) -> tuple[float, str]:
-    """How far an arm is too short for the nearest object, m, and what that says."""
+def _lacking(robot: Robot, number: int) -> tuple[float, str, float]:
+    """How far an arm is too short for the nearest object, what that says, and its height, m."""
     words = robot.description
     arm, structure = words.arms[number], Structure(robot.urdf, words.base_frame)
     joints = robot.urdf.joints_between(arm.base_link, arm.tool_frame)
@@ -136,5 +135,5 @@ def _lacking(robot: Robot, number: int) -> tuple[float, str]:
     ):
         about += f", and at rest it points {turn:.0f} degrees away from x"
     if near > length:
-        return near - length, f"{about}, and the nearest object {near:.2f} m away from that"
-    return 0.0, about
+        about += f", and the nearest object {near:.2f} m away from that"
+    return max(near - length, 0.0), about, float(places[0, 2])
