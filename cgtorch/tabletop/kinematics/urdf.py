@@ -18,11 +18,12 @@ from cgtorch.ground.files import read_bytes
 from cgtorch.tabletop.kinematics.dialects import completed
 
 MAX_BYTES = 8_000_000
-MAX_LINKS = 500
+MAX_LINKS, MAX_DEPTH = 500, 100
 LISTED = 4  # lines or links that an error names
 MOST = 1e6  # m or rad: what is computed from such numbers is finite, too
 MOVING = ("revolute", "continuous", "prismatic")
 _JOINT_TYPES = (*MOVING, "fixed", "floating", "planar")
+XACRO = "{http://www.ros.org/wiki/xacro}"
 ROUNDING = 1e-6  # of moments of inertia
 _HUGE = sys.float_info.max  # which is written where no limit is meant
 _SAFE = {
@@ -123,6 +124,10 @@ def read_urdf(path: Path) -> Any:
     root = parsed(read_bytes(path, MAX_BYTES, RobotError), where)
     if root.tag != "robot":
         raise RobotError(f"{where} starts with <{root.tag}>: give a file that starts with <robot>")
+    if any(str(element.tag).startswith(XACRO) for element in root.iter()):
+        raise RobotError(
+            f"{where} is a xacro file: make a URDF of it by `xacro FILE > robot.urdf`"
+        )
     _check_numbers(root, where)
     _check_tree(root, where)
     completed(root, where)
@@ -270,6 +275,8 @@ def _check_tree(root: Any, where: str) -> None:
             )
         tree.add_edge(*ends)
     roots = [link for link in links if not tree.in_degree(link)]
+    if links and not roots:
+        raise RobotError(f"{where}: all links hang from each other in a loop: break the loop")
     if len(roots) != 1:
         raise RobotError(
             f"{where} has {len(roots)} root links {roots[:LISTED]}: connect all links to one by "
@@ -277,6 +284,11 @@ def _check_tree(root: Any, where: str) -> None:
         )
     if not networkx.is_arborescence(tree):
         raise RobotError(f"{where}: some links hang from each other in a loop: break the loop")
+    depth = networkx.dag_longest_path_length(tree)
+    if depth > MAX_DEPTH:
+        raise RobotError(
+            f"{where} has {depth} joints in a row: give a robot of {MAX_DEPTH} at most"
+        )
 
 
 def _check_joint(joint: Any, where: str) -> None:

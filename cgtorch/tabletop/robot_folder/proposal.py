@@ -32,6 +32,7 @@ from cgtorch.tabletop.robot_folder.structure import (
 )
 
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+LEAST_SIDE = 10.0  # mm of a footprint
 LOW = 0.5  # m: shapes that begin below are seen by the footprint
 ABOVE_WHEELS = 0.3  # m: no arm reaches shapes that end below
 SHOULDER = 1.0  # m above the floor, where a torso holds its arms
@@ -274,5 +275,6 @@ def _footprint(
         return -0.1, 0.1, -0.1, 0.1
     points = np.concatenate(low)[:, :2] * 1000
     least, most = points.min(axis=0).round(2), points.max(axis=0).round(2)  # files are rounded, too
-    (x0, y0), (x1, y1) = np.floor(least) / 1000, np.ceil(most) / 1000
+    room = np.maximum(LEAST_SIDE - (most - least), 0) / 2
+    (x0, y0), (x1, y1) = np.floor(least - room) / 1000, np.ceil(most + room) / 1000
     return float(x0), float(x1), float(y0), float(y1)

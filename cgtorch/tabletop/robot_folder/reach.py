@@ -21,6 +21,8 @@ TURNED = 60  # degrees from x at rest that are told
 SIDEWAYS = 0.2  # of an arm's length, how far it leads to the side at least to point somewhere
 DEPTHS, ASIDE = (0.1, 0.2, 0.3), (-0.3, 0.0, 0.3)  # m: where objects are on it
 OBJECTS = len(DEPTHS) * len(ASIDE)
+FEW = (1, 3, 4, 5)
+"""Those of these by which other heights are compared: the nearest, and all at the middle depth."""
 
 
 @dataclass(frozen=True)
@@ -44,16 +46,14 @@ def reached(robot: Robot, stand: float = 0.0) -> Reached:
     grasps = graspable(robot, *_objects(robot, HEIGHT))
     if grasps.any():
         return Reached(grasps)
-    tables = [_objects(robot, height) for height in OTHERS]
-    every = graspable(robot, *(torch.cat(parts) for parts in zip(*tables, strict=True)))
-    counts = every.view(len(OTHERS), OBJECTS).sum(1).tolist()
-    most = max(counts)
+    height = _better_height(robot)
     lacks = [_lacking(robot, number) for number in range(len(robot.arms))]
     nearest = min(range(len(lacks)), key=lambda number: lacks[number][0])
     far, about, shoulder = lacks[nearest]
-    if most:
+    if height is not None:
+        most = int(graspable(robot, *_objects(robot, height)).sum())
         reason = "" if far else f"; {_hindered(robot, nearest, HEIGHT)}"
-        advice = _better(OTHERS[counts.index(most)], most, stand)
+        advice = _better(height, most, stand)
     else:
         reason = f"; nor can it at any height from {min(OTHERS):g} to {max(OTHERS):g} m"
         suits = min((HEIGHT, *OTHERS), key=lambda height: abs(height - shoulder))
@@ -67,6 +67,14 @@ def _objects(robot: Robot, height: float) -> tuple[Tensor, Tensor]:
     position = torch.tensor([[edge + x, y, height] for x in DEPTHS for y in ASIDE])
     table = torch.tensor([edge + DEPTH / 2, 0.0, 0.0, DEPTH, WIDTH, height])
     return position, table.expand(OBJECTS, 6)
+
+
+def _better_height(robot: Robot) -> float | None:
+    """The height at which most of a few objects can be grasped, m; None if none can."""
+    tables = [[part[list(FEW)] for part in _objects(robot, height)] for height in OTHERS]
+    every = graspable(robot, *(torch.cat(parts) for parts in zip(*tables, strict=True)))
+    counts = every.view(len(OTHERS), len(FEW)).sum(1)
+    return OTHERS[int(counts.argmax())] if counts.any() else None
 
 
 def _better(height: float, count: int, stand: float) -> str:
