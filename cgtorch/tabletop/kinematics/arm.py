@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import pytorch_kinematics
@@ -23,7 +23,7 @@ from cgtorch.tabletop.kinematics.inverse_kinematics import (
 from cgtorch.tabletop.kinematics.solids import Solids
 
 EVERY_POSE = 6
-"""The number of joints from which an arm can reach poses of any rotation."""
+"""In how many ways an arm moves its tool that can reach poses of any rotation."""
 OFF_HEADING = 0.1  # rad that the tool of an arm with fewer may be turned about the vertical
 HALF_SIDE = math.pi / 12  # rad: half of the angle between two approaches
 STEEP = 0.99  # cosine of an approach to the vertical that has no heading of its own
@@ -85,6 +85,14 @@ class ArmModel:
             self._chains[key] = built_chain(self._xml, self._links, self.mount.to(like))
         return self._chains[key]
 
+    @cached_property
+    def freedom(self) -> int:
+        """In how many ways the joints move the tool, 6 at most; those of a telescope do in one."""
+        lower, upper = self.turn_limits
+        share = torch.rand(len(lower), generator=torch.Generator().manual_seed(0)).to(lower)
+        jacobian = self.chain(lower)[0].jacobian((lower + share * (upper - lower))[None])
+        return int(torch.linalg.matrix_rank(jacobian[0], atol=1e-6, rtol=0))
+
     def frames(self, q: Tensor) -> Tensor:
         """Poses (F, B, 4, 4) in the base frame at q (B, n), rad or m; the tool frame is last."""
         chain, _ = self.chain(q)
@@ -130,12 +138,12 @@ class ArmModel:
     def aimed(self, path: Tensor) -> tuple[Tensor, Tensor]:
         """Paths to objects as the arm can aim at them, and which (B,) it can.
 
-        An arm of fewer than `EVERY_POSE` joints cannot choose the heading of its tool. So each path
-        (B, 5, 4, 4) is turned about the vertical through its grasp to the nearest heading at which
-        the arm reaches that: as far as needed from above, and else up to `HALF_SIDE`.
+        An arm that moves its tool in fewer than `EVERY_POSE` ways cannot choose its heading. So
+        each path (B, 5, 4, 4) is turned about the vertical through its grasp to the nearest heading
+        at which the arm reaches that: as far as needed from above, and else up to `HALF_SIDE`.
         """
         kept = torch.ones(len(path), dtype=torch.bool, device=path.device)
-        if len(self.joint_names) >= EVERY_POSE:
+        if self.freedom >= EVERY_POSE:
             return path, kept
         grasp, mount = path[:, 2], self.mount.to(path)
         arm, local = self._numerical(path, math.pi), torch.linalg.inv(mount) @ grasp
@@ -153,7 +161,7 @@ class ArmModel:
     def _numerical(self, like: Tensor, most: float = OFF_HEADING) -> NumericalArm:
         lower, upper = self.turn_limits
         chain, heading = self.chain(like)[0], None
-        if len(self.joint_names) < EVERY_POSE:
+        if self.freedom < EVERY_POSE:
             heading = Heading(self.mount[2, :3].to(like), most)
         return NumericalArm(chain, lower.to(like), upper.to(like), heading)
 

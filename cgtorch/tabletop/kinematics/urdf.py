@@ -125,9 +125,7 @@ def read_urdf(path: Path) -> Any:
     if root.tag != "robot":
         raise RobotError(f"{where} starts with <{root.tag}>: give a file that starts with <robot>")
     if any(str(element.tag).startswith(XACRO) for element in root.iter()):
-        raise RobotError(
-            f"{where} is a xacro file: make a URDF of it by `xacro FILE > robot.urdf`"
-        )
+        raise RobotError(f"{where} is a xacro file: make a URDF of it by `xacro FILE > robot.urdf`")
     _check_numbers(root, where)
     _check_tree(root, where)
     completed(root, where)

@@ -138,9 +138,34 @@ def _shared(structure: Structure, path: list[Any], paths: list[list[Any]]) -> in
         if other is not path and others >= FEWEST and torso:
             count = max(count, same)
     for i, joint in enumerate(path[: len(path) - LEAST_JOINTS]):
-        if i >= count and slides_upright(structure, joint):
+        alone = i >= count and slides_upright(structure, joint)
+        if alone and _freedom(structure, path[i + 1 :]) >= FEW_JOINTS + 1:
             count = i + 1
     return count
+
+
+def _freedom(structure: Structure, joints: list[Any]) -> int:
+    """In how many ways joints move what they carry, in a random posture: a telescope's in one."""
+    model, rng = structure.urdf.model, np.random.default_rng(0)
+    before = dict(zip(model.actuated_joint_names, model.cfg.tolist(), strict=True))
+    model.update_cfg({joint.name: _within(joint, float(rng.uniform())) for joint in joints})
+    twists = []
+    for joint in joints:
+        pose = structure.pose(joint.child)
+        axis = pose[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
+        slides = joint.type == "prismatic"
+        linear = axis if slides else np.cross(pose[:3, 3], axis)
+        twists.append([*linear, *(np.zeros(3) if slides else axis)])
+    model.update_cfg(before)
+    return int(np.linalg.matrix_rank(np.array(twists), tol=1e-6))
+
+
+def _within(joint: Any, share: float) -> float:
+    """A position at a share of a joint's range, rad or m."""
+    if joint.type == "continuous":
+        return math.tau * share
+    low, high = float(joint.limit.lower), float(joint.limit.upper)
+    return low + share * (high - low)
 
 
 def _is_finger(structure: Structure, joint: Any) -> bool:

@@ -133,7 +133,9 @@ def _lacking(robot: Robot, number: int) -> tuple[float, str, float]:
     places = np.stack(
         [structure.pose(link)[:3, 3] for link in [*(j.child for j in moving), arm.tool_frame]]
     )
-    length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    slides = [joint for joint in moving[1:] if joint.type == "prismatic"]
+    drawn = sum(max(abs(joint.limit.lower), abs(joint.limit.upper)) for joint in slides)
+    length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum() + drawn)
     away = np.linalg.norm(_objects(robot, HEIGHT)[0].numpy() - places[0], axis=1)
     about = f"arm {arm.name!r} is {length:.2f} m long from its shoulder, {places[0, 2]:.2f} m high"
     near, (x, y) = float(away.min()), (places[-1] - places[0])[:2]

@@ -158,6 +158,19 @@ def test_slides_of_a_virtual_base_belong_to_no_arm(tmp_path):
     assert any("x_joint, y_joint, base_joint are taken for how the base" in n for n in found.notes)
 
 
+def test_a_telescope_needs_the_lift_below_it(tmp_path):
+    lift = link("lift") + joint("lift", "base", "0 0 1", "0 0 1", "prismatic")
+    draws = "".join(
+        link(f"l{i}")
+        + joint(f"l{i}", f"l{i - 1}" if i else "lift", "0.1 0 0", "1 0 0", "prismatic")
+        for i in range(4)
+    )
+    wrist = link("yaw") + joint("yaw", "l3") + fingers("hand", "yaw")
+    assert arms(structure_of(tmp_path, BASE, lift, draws, wrist)) == {"yaw": 6}
+    wrist = chain("wrist", 6, "lift", "0.1 0 0") + fingers("hand", "wrist5")
+    assert arms(structure_of(tmp_path, BASE, lift, wrist)) == {"wrist5": 6}
+
+
 def test_a_turn_and_a_slide_drive_a_base_too(tmp_path):
     drive = (
         link("odom", ""), link("turn", ""), joint("turn", "odom", "0 0 0"),
