@@ -121,10 +121,12 @@ def load_urdf(path: Path | str) -> Urdf:
 def read_urdf(path: Path) -> Any:
     """The elements of a valid URDF, whose inertias are not checked."""
     where = f"URDF {str(path)!r}"
-    root = parsed(read_bytes(path, MAX_BYTES, RobotError), where)
+    data = read_bytes(path, MAX_BYTES, RobotError)
+    root = parsed(data, where)
     if root.tag != "robot":
         raise RobotError(f"{where} starts with <{root.tag}>: give a file that starts with <robot>")
-    if any(str(element.tag).startswith(XACRO) for element in root.iter()):
+    unfilled = root.find("link") is None or b"${" in data
+    if unfilled and any(str(element.tag).startswith(XACRO) for element in root.iter()):
         raise RobotError(f"{where} is a xacro file: make a URDF of it by `xacro FILE > robot.urdf`")
     _check_numbers(root, where)
     _check_tree(root, where)
@@ -189,10 +191,11 @@ def parsed(data: bytes, where: str, huge: bool = False) -> Any:
 
 def _tree(data: bytes, options: dict[str, bool]) -> Any:
     """The root element, also where a name has a prefix that nothing declares, as ROS reads it."""
+    parser = etree.XMLParser(**options)
     try:
-        return etree.fromstring(data, etree.XMLParser(**options))
-    except etree.XMLSyntaxError as error:
-        kinds = {entry.type for entry in error.error_log}
+        return etree.fromstring(data, parser)
+    except etree.XMLSyntaxError:
+        kinds = {entry.type for entry in parser.error_log}
         if kinds != {etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE}:
             raise
     root = etree.fromstring(data, etree.XMLParser(**options, recover=True))

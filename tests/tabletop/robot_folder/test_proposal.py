@@ -121,3 +121,12 @@ def test_a_wish_for_what_is_not_there(wishes, tmp_path):
     plain, _ = without_meshes(load_urdf(mesh_robot.write_package(tmp_path)))
     with pytest.raises(RobotError, match=r"has no (link|joint) 'nowhere'"):
         propose(plain, wishes)
+
+
+def test_a_footprint_of_a_point_has_some_size(tmp_path):
+    text = (
+        f'<robot name="x"><link name="a">{box("1e-9 1e-9 1e-9")}</link>{chain("b", 6, "a")}</robot>'
+    )
+    x0, x1, y0, y1 = proposed(text, tmp_path).words.footprint
+    assert x1 - x0 >= 0.01
+    assert y1 - y0 >= 0.01
