@@ -33,6 +33,12 @@ NO_JOINT = "none"
     "package. Repeat the option for several. ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are searched "
     "as well.",
 )
+@click.option(
+    "--srdf",
+    type=common.A_PATH,
+    help="An SRDF, whose groups and end effectors name the arms, whose states name their home, and "
+    "whose disabled collisions are never checked.  [the one beside the URDF]",
+)
 @click.option("--name", "robot_name", help="The name of the robot.  [as in the URDF]")
 @click.option(
     "--base-frame", help="The base link, on the floor; positions are relative to it.  [the root]"
@@ -66,6 +72,13 @@ NO_JOINT = "none"
     metavar="LINK",
     help="A link that arms must not touch. Repeat the option for several.  [all links that no arm "
     "moves, except those near the floor]",
+)
+@click.option(
+    "--stand",
+    type=click.FloatRange(0.0, 3.0),
+    default=0.0,
+    help="The height of a stand on which the robot is put, m, for an arm that has no base of its "
+    "own.  [none]",
 )
 @click.option(
     "--hold",
@@ -107,11 +120,12 @@ def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: An
         torso_position=rest["torso_position"],
         arms=tuple(_arm(text) for text in rest["arms"]),
         body=rest["body"],
+        stand=rest["stand"],
         held=dict(_position("--hold", text) for text in rest["hold"]),
         home=dict(_position("--home", text) for text in rest["home"]),
     )
     with common.waiting(f"fitting shapes to {urdf}", rest["quiet"]):
-        made = make_robot_folder(urdf, output, wishes, package_path)
+        made = make_robot_folder(urdf, output, wishes, package_path, rest["srdf"])
     for line in _summary(made, output):
         common.say(line)
 

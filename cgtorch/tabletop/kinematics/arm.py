@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import pytorch_kinematics
@@ -11,14 +11,22 @@ from torch import Tensor
 
 from cgtorch.tabletop.kinematics.inverse_kinematics import (
     PAN_SAMPLES,
+    Heading,
+    NumericalArm,
     SphericalArm,
     closed_form_candidates,
     closed_form_follow,
+    headings,
     numerical_candidates,
     numerical_follow,
 )
 from cgtorch.tabletop.kinematics.solids import Solids
 
+EVERY_POSE = 6
+"""In how many ways an arm moves its tool that can reach poses of any rotation."""
+OFF_HEADING = 0.1  # rad that the tool of an arm with fewer may be turned about the vertical
+HALF_SIDE = math.pi / 12  # rad: half of the angle between two approaches
+STEEP = 0.99  # cosine of an approach to the vertical that has no heading of its own
 _CHUNK = 16_384  # rows of forward kinematics at a time: more fall out of the processor's cache
 
 
@@ -50,6 +58,7 @@ class ArmModel:
         mount: (4, 4) pose of the arm's base link in the robot's base frame.
         reach: The largest distance between the origins of the base link and of the tool frame, m.
         solids: The collision shapes of the URDF.
+        solid_links: The link of each of these.
         closed_form: The parameters of closed-form inverse kinematics, or None without it.
     """
 
@@ -61,6 +70,7 @@ class ArmModel:
     mount: Tensor
     reach: float
     solids: Solids
+    solid_links: tuple[str, ...]
     closed_form: SphericalArm | None
     _xml: bytes
     _links: tuple[str, str]
@@ -74,6 +84,14 @@ class ArmModel:
         if key not in self._chains:
             self._chains[key] = built_chain(self._xml, self._links, self.mount.to(like))
         return self._chains[key]
+
+    @cached_property
+    def freedom(self) -> int:
+        """In how many ways the joints move the tool, 6 at most; those of a telescope do in one."""
+        lower, upper = self.turn_limits
+        share = torch.rand(len(lower), generator=torch.Generator().manual_seed(0)).to(lower)
+        jacobian = self.chain(lower)[0].jacobian((lower + share * (upper - lower))[None])
+        return int(torch.linalg.matrix_rank(jacobian[0], atol=1e-6, rtol=0))
 
     def frames(self, q: Tensor) -> Tensor:
         """Poses (F, B, 4, 4) in the base frame at q (B, n), rad or m; the tool frame is last."""
@@ -91,7 +109,7 @@ class ArmModel:
         mount = self.mount.to(pose)
         if self.closed_form is not None:
             return closed_form_candidates(self.closed_form.to(pose), mount, pose, samples)
-        return numerical_candidates(*self._search(pose), torch.linalg.inv(mount) @ pose)
+        return numerical_candidates(self._numerical(pose), torch.linalg.inv(mount) @ pose)
 
     def follow(self, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Joint positions (M, W, n) at waypoints, in the posture of a solution q (M, n).
@@ -103,7 +121,7 @@ class ArmModel:
         mount = self.mount.to(pose)
         if self.closed_form is not None:
             return closed_form_follow(self.closed_form.to(pose), mount, q, pose)
-        return numerical_follow(*self._search(pose), q, torch.linalg.inv(mount) @ pose)
+        return numerical_follow(self._numerical(pose), q, torch.linalg.inv(mount) @ pose)
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
         """(..., n): the distance of each joint from b to a, the shorter way if it is continuous."""
@@ -117,9 +135,47 @@ class ArmModel:
         lower = torch.where(self.continuous, -math.pi, self.lower)
         return lower, torch.where(self.continuous, math.pi, self.upper)
 
-    def _search(self, like: Tensor) -> tuple[Any, Tensor, Tensor]:
+    def aimed(self, path: Tensor) -> tuple[Tensor, Tensor]:
+        """Paths to objects as the arm can aim at them, and which (B,) it can.
+
+        An arm that moves its tool in fewer than `EVERY_POSE` ways cannot choose its heading. So
+        each path (B, 5, 4, 4) is turned about the vertical through its grasp to the nearest heading
+        at which the arm reaches that: as far as needed from above, and else up to `HALF_SIDE`.
+        """
+        kept = torch.ones(len(path), dtype=torch.bool, device=path.device)
+        if self.freedom >= EVERY_POSE:
+            return path, kept
+        grasp, mount = path[:, 2], self.mount.to(path)
+        arm, local = self._numerical(path, math.pi), torch.linalg.inv(mount) @ grasp
+        row, q = numerical_candidates(arm, local)
+        turns = headings(arm, q, local[row])
+        order = turns.abs().argsort()
+        order = order[row[order].argsort(stable=True)]
+        first = order[torch.cat([row[order][:1] >= 0, row[order].diff() > 0])]
+        turn = torch.full_like(path[:, 0, 0, 0], math.nan)
+        turn[row[first]] = turns[first]
+        upright = grasp[:, 2, 0].abs() > STEEP
+        kept = upright & turn.isfinite() | (turn.abs() <= HALF_SIDE)
+        return turned(path[kept], turn[kept]), kept
+
+    def _numerical(self, like: Tensor, most: float = OFF_HEADING) -> NumericalArm:
         lower, upper = self.turn_limits
-        return self.chain(like)[0], lower.to(like), upper.to(like)
+        chain, heading = self.chain(like)[0], None
+        if self.freedom < EVERY_POSE:
+            heading = Heading(self.mount[2, :3].to(like), most)
+        return NumericalArm(chain, lower.to(like), upper.to(like), heading)
+
+
+def turned(path: Tensor, turn: Tensor) -> Tensor:
+    """Paths (B, W, 4, 4), turned (B,) about the vertical through the third waypoint, rad."""
+    cos, sin, zero = turn.cos(), turn.sin(), torch.zeros_like(turn)
+    about = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1], 1)
+    about = about.view(-1, 1, 3, 3)
+    centre = path[:, 2:3, :3, 3:]
+    moved = path.clone()
+    moved[..., :3, :3] = about @ path[..., :3, :3]
+    moved[..., :3, 3:] = centre + about @ (path[..., :3, 3:] - centre)
+    return moved
 
 
 def built_chain(xml: bytes, links: tuple[str, str], mount: Tensor) -> tuple[Any, ChainTable]:

@@ -54,7 +54,7 @@ class RobotDescription:
         home: Positions of the arms' joints while the robot drives (rad or m). A joint that is not
             named is at 0, or as near as its limits allow. Without any, a posture is computed.
         gains: Stiffness of servos in physics, N m/rad or N/m, in place of defaults.
-        excludes: Pairs of links that never collide in physics, besides adjacent ones.
+        excludes: Pairs of links that never collide, besides adjacent ones.
     """
 
     name: str

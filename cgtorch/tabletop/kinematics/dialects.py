@@ -10,17 +10,21 @@ from trimesh import transformations
 from cgtorch.ground.errors import RobotError
 
 LIMITED = ("revolute", "prismatic")
+TRIPLES = {"xyz", "rpy", "size", "scale"}
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
 
 
 def completed(root: Any, where: str) -> None:
     """Turn a checked tree of elements, in place, into one that every reader understands.
 
-    A capsule becomes a cylinder and two spheres. A limit without a number is 0, as the format says,
-    and a robot without a name is called robot.
+    A capsule becomes a cylinder and two spheres, and commas between numbers become blanks. A limit
+    without a number is 0, as the format says, and a robot without a name is called robot.
     RobotError for a shape that is none of `SHAPES`.
     """
     root.set("name", root.get("name", "robot"))
+    for element in root.iter("origin", "axis", "box", "mesh"):
+        for name in TRIPLES.intersection(element.attrib):
+            element.set(name, element.get(name).replace(",", " "))
     for link in root.findall("link"):
         for part in [*link.findall("collision"), *link.findall("visual")]:
             shapes = part.findall("geometry/*")

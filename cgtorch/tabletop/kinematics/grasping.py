@@ -113,7 +113,8 @@ def lines_to_try(
             row, column = (order < rank[open_rows, None]).nonzero(as_tuple=True)
             at = open_rows[row]
             path = waypoints(position[at], *approaches[group[column]].unbind(1))
-            yield which, Lines(path, at, order[column])
+            path, aimed = robot.arms[which].aimed(path)
+            yield which, Lines(path, at[aimed], order[column][aimed])
         open_rows = open_rows[rank[open_rows] == arms * len(APPROACHES)]
 
 

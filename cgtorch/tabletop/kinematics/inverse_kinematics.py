@@ -187,47 +187,81 @@ def _solutions(
     return q, reached
 
 
-def numerical_candidates(
-    chain: Any, lower: Tensor, upper: Tensor, pose: Tensor
-) -> tuple[Tensor, Tensor]:
+@dataclass(frozen=True)
+class Heading:
+    """How far an arm of few joints, which cannot choose it, may turn its tool about the vertical.
+
+    Attributes:
+        up: (3,) the unit vector upwards, in the arm's base link.
+        most: The largest such angle from a wanted pose, rad.
+    """
+
+    up: Tensor
+    most: float
+
+
+@dataclass(frozen=True)
+class NumericalArm:
+    """An arm whose poses are solved by damped least squares.
+
+    Attributes:
+        chain: The `pytorch_kinematics.SerialChain` from the arm's base link to its tool frame.
+        lower, upper: (n,) limits, rad or m.
+        heading: What it may leave of a pose, or None if it has joints enough for every pose.
+    """
+
+    chain: Any
+    lower: Tensor
+    upper: Tensor
+    heading: Heading | None = None
+
+
+def numerical_candidates(arm: NumericalArm, pose: Tensor) -> tuple[Tensor, Tensor]:
     """Like `ArmModel.candidates`, refined from the nearest of many sampled postures.
 
-    Limits are (n,), rad or m; poses (B, 4, 4) are in the arm's base link.
+    Poses (B, 4, 4) are in the arm's base link.
     """
     generator = torch.Generator().manual_seed(0)
+    lower = arm.lower
     spread = torch.rand(SEEDS, len(lower), generator=generator, dtype=torch.float64).to(lower)
-    seeds = lower + (upper - lower) * spread
-    reached = chain.forward_kinematics(seeds, end_only=True).get_matrix()
+    seeds = lower + (arm.upper - lower) * spread
+    reached = arm.chain.forward_kinematics(seeds, end_only=True).get_matrix()
     every = torch.arange(len(pose), device=pose.device)
     rows, solutions = [], []
     for part, row in zip(pose.split(_POSES), every.split(_POSES), strict=True):
-        away = torch.cdist(_key(part), _key(reached))
+        away = torch.cdist(_key(part, arm.heading), _key(reached, arm.heading))
         nearest = away.topk(STARTS, largest=False).indices
         target = part.repeat_interleave(STARTS, dim=0)
-        q, converged = _refine(chain, lower, upper, seeds[nearest.flatten()], target)
+        q, converged = _refine(arm, seeds[nearest.flatten()], target)
         rows.append(row.repeat_interleave(STARTS)[converged])
         solutions.append(q[converged])
     return torch.cat(rows), torch.cat(solutions)
 
 
-def _key(pose: Tensor) -> Tensor:
-    """(B, 12): poses as points, whose distances weigh position against rotation."""
-    return torch.cat([pose[:, :3, 3], _ROTATION_WEIGHT * pose[:, :3, :3].flatten(1)], dim=1)
+def _key(pose: Tensor, heading: Heading | None) -> Tensor:
+    """(B, K): poses as points, whose distances weigh position against what counts of rotation."""
+    turn = pose[:, :3, :3]
+    counts = turn.flatten(1) if heading is None else heading.up @ turn
+    return torch.cat([pose[:, :3, 3], _ROTATION_WEIGHT * counts], dim=1)
 
 
-def numerical_follow(
-    chain: Any, lower: Tensor, upper: Tensor, q: Tensor, pose: Tensor
-) -> tuple[Tensor, Tensor]:
+def numerical_follow(arm: NumericalArm, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
     """Like `ArmModel.follow`, with each waypoint refined from q; see `numerical_candidates`."""
     count, steps = pose.shape[:2]
     start = q.repeat_interleave(steps, dim=0)
-    path, converged = _refine(chain, lower, upper, start, pose.reshape(-1, 4, 4))
-    return path.reshape(count, steps, len(lower)), converged.reshape(count, steps)
+    path, converged = _refine(arm, start, pose.reshape(-1, 4, 4))
+    return path.reshape(count, steps, len(arm.lower)), converged.reshape(count, steps)
 
 
-def _refine(
-    chain: Any, lower: Tensor, upper: Tensor, q: Tensor, pose: Tensor
-) -> tuple[Tensor, Tensor]:
+def headings(arm: NumericalArm, q: Tensor, pose: Tensor) -> Tensor:
+    """(M,) by how much the tool at q (M, n) is turned about the vertical from poses, rad."""
+    if arm.heading is None:
+        return pose.new_zeros(len(pose))
+    reached = arm.chain.forward_kinematics(q, end_only=True).get_matrix()
+    return _heading(reached, pose, arm.heading)
+
+
+def _refine(arm: NumericalArm, q: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
     """Joint positions (B, n) within limits, refined from q (B, n), and which reach poses (B,)."""
     q = q.clone()
     converged = torch.zeros(len(q), dtype=torch.bool, device=q.device)
@@ -235,12 +269,17 @@ def _refine(
     for iteration in range(ITERATIONS + 1):
         if not len(active):
             break
-        jacobian, reached = chain.jacobian(q[active], ret_eef_pose=True)
-        error = _error(reached, pose[active])
+        jacobian, reached = arm.chain.jacobian(q[active], ret_eef_pose=True)
+        error = _error(reached, pose[active], arm.heading)
         done = (error[:, :3].norm(dim=1) < POSITION_TOLERANCE) & (
             error[:, 3:].norm(dim=1) < ROTATION_TOLERANCE
         )
-        converged[active[done]] = True
+        if arm.heading is not None:
+            turned = _heading(reached, pose[active], arm.heading).abs() <= arm.heading.most
+            converged[active[done & turned]] = True
+            jacobian = _without_heading(jacobian, arm.heading)
+        else:
+            converged[active[done]] = True
         active, jacobian, error = active[~done], jacobian[~done], error[~done]
         if iteration == ITERATIONS:
             break
@@ -250,17 +289,43 @@ def _refine(
         step = (jacobian.transpose(1, 2) @ torch.linalg.solve(square, error[..., None])).squeeze(-1)
         longest = step.abs().amax(dim=1, keepdim=True)
         step = step * (_STEP / longest.clamp_min(_STEP))
-        q[active] = torch.maximum(torch.minimum(q[active] + step, upper), lower)
+        q[active] = torch.maximum(torch.minimum(q[active] + step, arm.upper), arm.lower)
     return q, converged
 
 
-def _error(reached: Tensor, wanted: Tensor) -> Tensor:
-    """(B, 6): the remaining translation (m) and rotation (rotation vector), in the base frame."""
+def _without_heading(jacobian: Tensor, heading: Heading) -> Tensor:
+    """Jacobians (B, 6, n) of position and of rotation about horizontal axes alone."""
+    up = heading.up
+    level = torch.eye(3).to(up) - up[:, None] * up
+    return torch.cat([jacobian[:, :3], level @ jacobian[:, 3:]], dim=1)
+
+
+def _error(reached: Tensor, wanted: Tensor, heading: Heading | None) -> Tensor:
+    """(B, 6): the remaining translation (m) and rotation (rotation vector), in the base frame.
+
+    Where the heading is free, the rotation is the shortest one after which only that is left.
+    """
     turn = wanted[:, :3, :3] @ reached[:, :3, :3].transpose(1, 2)
-    twist = (turn - turn.transpose(1, 2)) / 2
-    skew = torch.stack([twist[:, 2, 1], twist[:, 0, 2], twist[:, 1, 0]], dim=1)
+    if heading is None:
+        skew = _skew(turn)
+        cosine = (turn.diagonal(dim1=1, dim2=2).sum(-1) - 1) / 2
+    else:
+        now = heading.up @ turn
+        skew, cosine = torch.linalg.cross(now, heading.up.expand_as(now)), now @ heading.up
     sine = skew.norm(dim=1)
-    cosine = (turn.diagonal(dim1=1, dim2=2).sum(-1) - 1) / 2
     angle = torch.atan2(sine, cosine)
     scale = torch.where(sine > 1e-6, angle / sine.clamp_min(1e-6), torch.ones_like(sine))
     return torch.cat([wanted[:, :3, 3] - reached[:, :3, 3], skew * scale[:, None]], dim=1)
+
+
+def _heading(reached: Tensor, wanted: Tensor, heading: Heading) -> Tensor:
+    """(B,) the angle about the vertical from wanted to reached poses that share their tilt, rad."""
+    turn = reached[:, :3, :3] @ wanted[:, :3, :3].transpose(1, 2)
+    cosine = (turn.diagonal(dim1=1, dim2=2).sum(-1) - 1) / 2
+    return torch.atan2(_skew(turn) @ heading.up, cosine)
+
+
+def _skew(turn: Tensor) -> Tensor:
+    """(B, 3) the axes of rotations (B, 3, 3), as long as the sines of their angles."""
+    twist = (turn - turn.transpose(1, 2)) / 2
+    return torch.stack([twist[:, 2, 1], twist[:, 0, 2], twist[:, 1, 0]], dim=1)

@@ -1,5 +1,6 @@
 """The robot: its URDF and description, checked together and prepared for batched kinematics."""
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.arm import ArmModel, built_chain
-from cgtorch.tabletop.kinematics.clear_ways import Scene
+from cgtorch.tabletop.kinematics.clear_ways import OWN, Scene
 from cgtorch.tabletop.kinematics.description import (
     Arm,
     RobotDescription,
@@ -44,6 +45,7 @@ class Robot:
         arms: In the description's order.
         body: The solids that an arm must not touch, in the base frame.
         home: (n,) of each arm, the positions of its joints while the robot drives, rad or m.
+        body_links: The link of each of these solids.
         meshes: Shapes fitted to the meshes of its URDF; empty without meshes.
     """
 
@@ -52,6 +54,7 @@ class Robot:
     arms: tuple[ArmModel, ...]
     body: Solids
     home: tuple[Tensor, ...]
+    body_links: tuple[str, ...]
     meshes: tuple[MeshFit, ...] = ()
 
     @cached_property
@@ -68,7 +71,20 @@ class Robot:
         n = len(self.arms)
         others = [self.body[:0].joined(*at_home[:i], *at_home[i + 1 :]) for i in range(n)]
         pairs = zip(self.arms, others, strict=True)
-        return tuple(scene_of(arm, self.body, each) for arm, each in pairs)
+        return tuple(self._scene(arm, each) for arm, each in pairs)
+
+    def _scene(self, arm: ArmModel, others: Solids) -> Scene:
+        """The scene of an arm, without the pairs of links that never collide."""
+        scene, apart = (
+            scene_of(arm, self.body, others),
+            {*map(frozenset, self.description.excludes)},
+        )
+        named = itertools.chain(itertools.repeat("", OWN), arm.solid_links, self.body_links)
+        link = dict(enumerate(named))
+        kept = torch.tensor(
+            [{link.get(a), link.get(b)} not in apart for a, b, _ in scene.pairs.tolist()]
+        )
+        return replace(scene, pairs=scene.pairs[kept], reach=scene.reach[kept])
 
 
 def load_robot(
@@ -95,11 +111,11 @@ def load_robot(
     for name in words.capsules:
         model.link(name)
     arms = tuple(_arm(model, words, arm, joints[arm.name]) for arm in words.arms)
-    body = _body(model, words, in_arms)
+    body, body_links = _body(model, words, in_arms)
     for name, position in words.home.items():
         _check_home(model.joint(name), position, in_arms)
     home = home_postures(arms, body, words.footprint, words.home)
-    return Robot(words, model, arms, body, home, meshes)
+    return Robot(words, model, arms, body, home, body_links, meshes)
 
 
 def _check_held(joint: Any, position: float, in_arms: set[str]) -> None:
@@ -152,6 +168,7 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
     xml, links = _chain_xml(urdf, joints), (arm.base_link, arm.tool_frame)
     mount = _transform(urdf, arm.base_link, words.base_frame)
     chain, table = built_chain(xml, links, mount)
+    solids, solid_links = _solids(urdf, words, arm, moving, chain.frame_to_idx)
     return ArmModel(
         name=arm.name,
         joint_names=tuple(joint.name for joint in moving),
@@ -160,7 +177,8 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
         continuous=torch.tensor([joint.type == "continuous" for joint in moving]),
         mount=mount,
         reach=_reach(joints),
-        solids=_solids(urdf, words, arm, moving, chain.frame_to_idx),
+        solids=solids,
+        solid_links=solid_links,
         closed_form=spherical_arm(joints, limits),
         _xml=xml,
         _links=links,
@@ -229,9 +247,9 @@ def _fixed_to_base(
 
 def _solids(
     urdf: Urdf, words: RobotDescription, arm: Arm, moving: list[Any], frame_index: dict[str, int]
-) -> Solids:
-    """The shapes of every link that the arm's joints move, including fixed fingers."""
-    rows = []
+) -> tuple[Solids, tuple[str, ...]]:
+    """The shapes of links that the arm's joints move, including fixed fingers, and their links."""
+    rows, names = [], []
     for link, pose, carriers in _moved_links(urdf, arm, moving):
         if link.name in words.capsules:
             given = torch.tensor(words.capsules[link.name], dtype=torch.float64).view(-1, 7)
@@ -240,7 +258,8 @@ def _solids(
             shapes = [solid_of(each, f"link {link.name!r}") for each in link.collisions]
         for at, size in shapes:
             rows.append((pose @ at, size, frame_index[carriers[0]], len(carriers)))
-    return solids_of(rows)
+            names.append(str(link.name))
+    return solids_of(rows), tuple(names)
 
 
 def _moved_links(
@@ -258,13 +277,16 @@ def _moved_links(
             yield link, _transform(urdf, link.name, carriers[0]), carriers
 
 
-def _body(urdf: Urdf, words: RobotDescription, arm_joints: set[str]) -> Solids:
-    """The shapes of links that an arm must not touch, in the base frame."""
-    rows = []
+def _body(
+    urdf: Urdf, words: RobotDescription, arm_joints: set[str]
+) -> tuple[Solids, tuple[str, ...]]:
+    """The shapes of links that an arm must not touch, in the base frame, and the link of each."""
+    rows, names = [], []
     for name in words.body:
         _fixed_to_base(urdf, words, name, arm_joints, "body")
         link = _transform(urdf, name, words.base_frame)
         for collision in urdf.link(name).collisions:
             pose, size = solid_of(collision, f"link {name!r}")
             rows.append((link @ pose, size, -1, 0))
-    return solids_of(rows)
+            names.append(name)
+    return solids_of(rows), tuple(names)

@@ -18,7 +18,7 @@ WORTH = 0.9
 """A part is split if its two parts have at most this share of its volume."""
 CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # where a part may be cut, as shares of its box's sides
 MOST_CUT = 20_000  # triangles; of a mesh with more, its convex hull is cut, if that has no more
-SEARCHED = 400  # directions whose furthest points decide how a shape lies
+SEARCHED = 100  # directions whose furthest points decide how a shape lies
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,19 @@ from cgtorch.ground.files import read_bytes
 from cgtorch.tabletop.kinematics.dialects import completed
 
 MAX_BYTES = 8_000_000
-MAX_LINKS = 500
+MAX_LINKS, MAX_DEPTH = 500, 100
 LISTED = 4  # lines or links that an error names
 MOST = 1e6  # m or rad: what is computed from such numbers is finite, too
 MOVING = ("revolute", "continuous", "prismatic")
 _JOINT_TYPES = (*MOVING, "fixed", "floating", "planar")
+XACRO = "{http://www.ros.org/wiki/xacro}"
 ROUNDING = 1e-6  # of moments of inertia
 _HUGE = sys.float_info.max  # which is written where no limit is meant
+_SAFE = {
+    "resolve_entities": False, "no_network": True, "load_dtd": False, "remove_comments": True,
+    "remove_pis": True, "remove_blank_text": True,
+}  # fmt: skip
+"""How XML is parsed, so that nothing that it names is read."""
 _NUMBERS = {
     "origin": (3, MOST, ("xyz", "rpy")),
     "axis": (3, MOST, ("xyz",)),
@@ -115,9 +121,13 @@ def load_urdf(path: Path | str) -> Urdf:
 def read_urdf(path: Path) -> Any:
     """The elements of a valid URDF, whose inertias are not checked."""
     where = f"URDF {str(path)!r}"
-    root = parsed(read_bytes(path, MAX_BYTES, RobotError), where)
+    data = read_bytes(path, MAX_BYTES, RobotError)
+    root = parsed(data, where)
     if root.tag != "robot":
         raise RobotError(f"{where} starts with <{root.tag}>: give a file that starts with <robot>")
+    unfilled = root.find("link") is None or b"${" in data
+    if unfilled and any(str(element.tag).startswith(XACRO) for element in root.iter()):
+        raise RobotError(f"{where} is a xacro file: make a URDF of it by `xacro FILE > robot.urdf`")
     _check_numbers(root, where)
     _check_tree(root, where)
     completed(root, where)
@@ -164,12 +174,9 @@ def parsed(data: bytes, where: str, huge: bool = False) -> Any:
     RobotError if it is not well-formed or has a document type, which can name entities and files.
     `huge` is whether it may be deep and have long texts.
     """
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=huge,
-        remove_comments=True, remove_pis=True, remove_blank_text=True,
-    )  # fmt: skip
+    options = {**_SAFE, "huge_tree": huge}
     try:
-        root = etree.fromstring(data, parser)
+        root = _tree(data, options)
     except (etree.XMLSyntaxError, ValueError) as error:
         reason = _line(error)[:100]
         raise RobotError(f"{where} is not well-formed XML ({reason}): correct it") from None
@@ -179,6 +186,24 @@ def parsed(data: bytes, where: str, huge: bool = False) -> Any:
             f"{where} has a document type ({info.doctype!r:.100}), which can name entities and "
             "files: remove the <!DOCTYPE ...> declaration"
         )
+    return root
+
+
+def _tree(data: bytes, options: dict[str, bool]) -> Any:
+    """The root element, also where a name has a prefix that nothing declares, as ROS reads it."""
+    parser = etree.XMLParser(**options)
+    try:
+        return etree.fromstring(data, parser)
+    except etree.XMLSyntaxError:
+        kinds = {entry.type for entry in parser.error_log}
+        if kinds != {etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE}:
+            raise
+    root = etree.fromstring(data, etree.XMLParser(**options, recover=True))
+    for element in list(root.iter("*")):
+        for name in [name for name in element.attrib if ":" in name]:
+            del element.attrib[name]
+        if ":" in element.tag and element is not root:
+            element.getparent().remove(element)
     return root
 
 
@@ -198,7 +223,7 @@ def _check_numbers(root: Any, where: str) -> None:
             if text is None:
                 continue
             parts = text.replace(",", " ").split() if count > 1 else [text]
-            if len(parts) != count or not all(abs(_number(part)) <= most for part in parts):
+            if len(parts) != count or not all(abs(number(part)) <= most for part in parts):
                 wanted = "three finite numbers" if count > 1 else "a finite number"
                 raise RobotError(
                     f"{where}, line {element.sourceline}: {element.tag} {name} is {text!r}: "
@@ -206,7 +231,8 @@ def _check_numbers(root: Any, where: str) -> None:
                 )
 
 
-def _number(text: str) -> float:
+def number(text: str) -> float:
+    """The number that a text is, or NaN."""
     try:
         return float(text)
     except ValueError:
@@ -250,6 +276,8 @@ def _check_tree(root: Any, where: str) -> None:
             )
         tree.add_edge(*ends)
     roots = [link for link in links if not tree.in_degree(link)]
+    if links and not roots:
+        raise RobotError(f"{where}: all links hang from each other in a loop: break the loop")
     if len(roots) != 1:
         raise RobotError(
             f"{where} has {len(roots)} root links {roots[:LISTED]}: connect all links to one by "
@@ -257,6 +285,11 @@ def _check_tree(root: Any, where: str) -> None:
         )
     if not networkx.is_arborescence(tree):
         raise RobotError(f"{where}: some links hang from each other in a loop: break the loop")
+    depth = networkx.dag_longest_path_length(tree)
+    if depth > MAX_DEPTH:
+        raise RobotError(
+            f"{where} has {depth} joints in a row: give a robot of {MAX_DEPTH} at most"
+        )
 
 
 def _check_joint(joint: Any, where: str) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 LEAST_JOINTS = 5  # of an arm, after the torso
+FEW_JOINTS = 4  # of an arm, where no chain with more is one
 FEWEST = 2  # joints of a chain after a body that make this body a torso
 TOLD = 3  # joints of a chain that is no arm from which it is told
 ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
@@ -69,9 +70,17 @@ def chains_of(structure: Structure) -> list[Chain]:
         for (link, fingers), path in zip(ends, paths, strict=True)
     ]
     found = [chain for chain in found if len(chain.own) >= FEWEST]
-    long = [chain for chain in found if len(chain.own) >= LEAST_JOINTS]
-    fingered = any(chain.fingers for chain in long)
-    legs = _legs(structure, long)
+    judged = _judged(structure, found, LEAST_JOINTS)
+    if any(chain.kind == ARM for chain in judged):
+        return judged
+    return _judged(structure, found, FEW_JOINTS)
+
+
+def _judged(structure: Structure, found: list[Chain], least: int) -> list[Chain]:
+    """The chains with what they are, if an arm has some joints at least."""
+    long = [chain for chain in found if len(chain.own) >= least]
+    legs = _legs(structure, long, [chain for chain in found if len(chain.own) >= FEW_JOINTS])
+    fingered = any(chain.fingers for chain in long if chain.link not in legs)
     reach = {chain.link: _reach(structure, chain) for chain in long if chain.link not in legs}
 
     def kind(chain: Chain) -> str:
@@ -108,7 +117,8 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
         jaw = not _depth(structure, moved[0]) or _is_jaw(structure, link, moved[0])
         fingers = moved if jaw else []
     else:
-        hand = len(structure.path(link)) >= LEAST_JOINTS
+        plain = len(moved) > FEWEST or all(_depth(structure, joint) <= 1 for joint in moved)
+        hand = len(structure.path(link)) >= (FEW_JOINTS if plain else LEAST_JOINTS)
         fingers = [joint for joint in moved if hand and _is_finger(structure, joint)]
     further = [joint for joint in moved if joint not in fingers]
     if not further and link != structure.base:
@@ -128,9 +138,34 @@ def _shared(structure: Structure, path: list[Any], paths: list[list[Any]]) -> in
         if other is not path and others >= FEWEST and torso:
             count = max(count, same)
     for i, joint in enumerate(path[: len(path) - LEAST_JOINTS]):
-        if i >= count and slides_upright(structure, joint):
+        alone = i >= count and slides_upright(structure, joint)
+        if alone and _freedom(structure, path[i + 1 :]) >= FEW_JOINTS + 1:
             count = i + 1
     return count
+
+
+def _freedom(structure: Structure, joints: list[Any]) -> int:
+    """In how many ways joints move what they carry, in a random posture: a telescope's in one."""
+    model, rng = structure.urdf.model, np.random.default_rng(0)
+    before = dict(zip(model.actuated_joint_names, model.cfg.tolist(), strict=True))
+    model.update_cfg({joint.name: _within(joint, float(rng.uniform())) for joint in joints})
+    twists = []
+    for joint in joints:
+        pose = structure.pose(joint.child)
+        axis = pose[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
+        slides = joint.type == "prismatic"
+        linear = axis if slides else np.cross(pose[:3, 3], axis)
+        twists.append([*linear, *(np.zeros(3) if slides else axis)])
+    model.update_cfg(before)
+    return int(np.linalg.matrix_rank(np.array(twists), tol=1e-6))
+
+
+def _within(joint: Any, share: float) -> float:
+    """A position at a share of a joint's range, rad or m."""
+    if joint.type == "continuous":
+        return math.tau * share
+    low, high = float(joint.limit.lower), float(joint.limit.upper)
+    return low + share * (high - low)
 
 
 def _is_finger(structure: Structure, joint: Any) -> bool:
@@ -179,28 +214,47 @@ def _reach(structure: Structure, chain: Chain) -> float:
     return float(lengths.sum()) + _extent(structure, chain.link)
 
 
-def _legs(structure: Structure, long: list[Chain]) -> set[str]:
-    """The ends of chains without fingers on which a robot stands.
+def _legs(structure: Structure, long: list[Chain], every: list[Chain]) -> set[str]:
+    """The ends of long chains on which a robot stands, given every chain that may be an arm.
 
-    They hang from the base where others hang from a torso; or two or more of them reach the floor,
-    where the base does not.
+    The base does not reach the floor, but two or more of them do, or one does and two do not;
+    those with fingers only if others with fingers do not, or if these are wheels. Or they have no
+    fingers and hang from the base where others hang from a torso that does not stand.
     """
-    plain = [chain for chain in long if not chain.fingers]
-    torso = any(chain.shared for chain in long)
-    found = {chain.link for chain in plain if torso and not chain.shared}
     floor = ON_FLOOR + _lowest(structure, structure.hanging(structure.base))
-    if _lowest(structure, structure.rigid(structure.base)) > floor:
-        standing = {chain.link for chain in plain if _stands(structure, chain, floor)}
-        found |= standing if len(standing) > 1 else set()
-    return found
+    if _lowest(structure, structure.rigid(structure.base)) <= floor:
+        return set()
+    stand = [chain for chain in long if _stands(structure, chain, floor)]
+    held = any(chain.fingers and chain not in stand for chain in every)
+    stand = [c for c in stand if held or not c.fingers or _on_wheels(structure, c)]
+    below = {chain.link for chain in stand if not chain.shared}
+    if len(below) > 1 or (below and len(long) - len(stand) > 1):
+        return below | _from_base(long)
+    hips = {chain.link for chain in stand if chain.shared}
+    others = [chain for chain in long if not chain.shared]
+    if len(hips) > 1 and others and not below:
+        return hips
+    return _from_base(long)
+
+
+def _on_wheels(structure: Structure, chain: Chain) -> bool:
+    """Whether all that a chain has in place of fingers turns without end."""
+    return all(joint.type == "continuous" for joint in structure.moved(chain.link))
+
+
+def _from_base(long: list[Chain]) -> set[str]:
+    """The ends of chains without fingers from the base, if others hang from a torso."""
+    if not any(chain.shared for chain in long):
+        return set()
+    return {chain.link for chain in long if not chain.fingers and not chain.shared}
 
 
 def _stands(structure: Structure, chain: Chain, floor: float) -> bool:
-    """Whether a chain from the base leads down to the floor."""
+    """Whether a chain leads down to the floor."""
     first = chain.own[0].child
     low = _lowest(structure, structure.hanging(first))
     drop = float(structure.pose(first)[2, 3]) - low
-    return not chain.shared and low <= floor and drop >= DOWN * _reach(structure, chain)
+    return low <= floor and drop >= DOWN * _reach(structure, chain)
 
 
 def _lowest(structure: Structure, links: list[str]) -> float:

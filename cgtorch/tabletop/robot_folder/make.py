@@ -1,6 +1,5 @@
 """Making a robot folder from a URDF: read, fit shapes, propose, try, draw and write."""
 
-import copy
 import dataclasses
 import io
 from collections.abc import Mapping, Sequence
@@ -9,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lxml import etree
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull, QhullError
@@ -20,22 +18,14 @@ from cgtorch.tabletop.kinematics import Robot, load_robot
 from cgtorch.tabletop.kinematics.description import DESCRIPTION, RobotDescription
 from cgtorch.tabletop.kinematics.fitted import MeshFit, without_meshes
 from cgtorch.tabletop.kinematics.meshes import package_places
-from cgtorch.tabletop.kinematics.urdf import (
-    MOVING,
-    Urdf,
-    checked_urdf,
-    inertial_problem,
-    read_urdf,
-)
+from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf, read_urdf
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 from cgtorch.tabletop.robot_folder.reach import Reached, reached
+from cgtorch.tabletop.robot_folder.solid import solid, sound_inertials
+from cgtorch.tabletop.robot_folder.srdf import Semantics, read_srdf, srdf_beside
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 URDF, PICTURE, SHAPES = "robot.urdf", "robot.png", "shapes.json"
-DENSITY = 500.0  # kg/m³ of a link's box whose mass is not known
-LIGHT = 0.01  # minimum mass of a moving link, kg
-SMALL = 0.03  # m: sides of the box of a link without shapes
-UNBALANCED = 1.01  # of one moment of inertia to the sum of the two others
 VIEWS = (("from the right", 0, 2), ("from the front", 1, 2), ("from above", 0, 1))
 """The views, and which of x, y and z go to the right and up."""
 REST, BODY, ARMS = "#b0b7bf", "#4a5a6a", ("#d95f02", "#1b9e77", "#7570b3", "#e7298a")
@@ -62,18 +52,28 @@ class Made:
 
 
 def make_robot_folder(
-    urdf: Path, folder: Path, wishes: Wishes | None = None, packages: Sequence[Path | str] = ()
+    urdf: Path,
+    folder: Path,
+    wishes: Wishes | None = None,
+    packages: Sequence[Path | str] = (),
+    srdf: Path | None = None,
 ) -> Made:
     """Make a folder with robot.urdf, which has no meshes, robot.json, shapes.json and robot.png.
 
-    RobotError if the URDF or one of its collision meshes cannot be read, no arm is found, or a wish
+    The arms, home and pairs that never collide of an SRDF are used, by default of that beside the
+    URDF, where the wishes do not say otherwise.
+
+    RobotError if the URDF, the SRDF or a collision mesh cannot be read, no arm is found, or a wish
     cannot be met; RunError if the folder exists or cannot be written. Then nothing is written.
     """
     read = checked_urdf(urdf, read_urdf(urdf))
+    srdf = srdf or srdf_beside(urdf)
+    semantics = Semantics() if srdf is None else read_srdf(srdf, read)
     plain, meshes = without_meshes(read, package_places(packages))
-    plain, notes = _solid(plain)
+    plain, notes = solid(plain)
     plain, inertials = sound_inertials(plain)
-    proposal = propose(plain, wishes or Wishes(), _corners(read, meshes))
+    wishes = _with_semantics(wishes or Wishes(), semantics)
+    proposal = propose(plain, wishes, _corners(read, meshes))
     with whole_folder(folder) as place:
         write_bytes(place / URDF, proposal.urdf.xml)
         words = proposal.words
@@ -85,7 +85,26 @@ def make_robot_folder(
             raise RobotError(str(error).replace(str(place), str(folder))) from None
         write_json(place / SHAPES, [_record(each) for each in meshes])
         write_bytes(place / PICTURE, robot_picture(robot))
-    return Made(robot, meshes, inertials, (*notes, *proposal.notes), reached(robot))
+    return Made(
+        robot,
+        meshes,
+        inertials,
+        (*semantics.notes, *notes, *proposal.notes),
+        reached(robot, wishes.stand),
+    )
+
+
+def _with_semantics(wishes: Wishes, semantics: Semantics) -> Wishes:
+    """Wishes, and what an SRDF says where there are none."""
+    if wishes.arms:
+        return dataclasses.replace(wishes, excludes=wishes.excludes or semantics.apart)
+    return dataclasses.replace(
+        wishes,
+        groups=semantics.arms,
+        home=wishes.home or semantics.home,
+        held={**semantics.opened, **wishes.held},
+        excludes=wishes.excludes or semantics.apart,
+    )
 
 
 def _at_home(robot: Robot) -> dict[str, float]:
@@ -134,79 +153,6 @@ def _record(each: MeshFit) -> dict[str, Any]:
     ]
     volumes = {"volume": sum(s.volume for s in fit.shapes), "convex_hull_volume": fit.hull_volume}
     return {**about, "shapes": shapes, **volumes, "ratio": fit.ratio}
-
-
-def _solid(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
-    """A URDF of which nothing collides with what is seen of it as what collides, and a note."""
-    root = etree.fromstring(urdf.xml)
-    visuals = root.findall("link/visual")
-    if not visuals or root.find("link/collision") is not None:
-        return urdf, ()
-    for visual in visuals:
-        solid = etree.SubElement(visual.getparent(), "collision")
-        solid.extend(copy.deepcopy(each) for each in visual if each.tag in ("origin", "geometry"))
-    note = "the URDF has no collision shapes, so that its visual shapes are taken for them"
-    return checked_urdf(urdf.path, root), (note,)
-
-
-def sound_inertials(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
-    """A URDF, without meshes, whose moving links have possible masses and inertias.
-
-    An impossible one, or one that is missing where a joint moves a link and all that is fixed to
-    it, becomes that of the box around the link's shapes, with the given mass if there is one. Also
-    returned are the names of these links.
-    """
-    structure = Structure(urdf, urdf.model.base_link)
-    massless = {
-        joint.child
-        for joint in urdf.model.robot.joints
-        if joint.type in MOVING
-        and not any(_mass(structure, n) for n in structure.rigid(joint.child))
-    }
-    links = urdf.model.robot.links
-    odd = (link for link in links if inertial_problem(link) or _unbalanced(link))
-    unsound = {*massless, *(link.name for link in odd)}
-    if not unsound:
-        return urdf, ()
-    names = [link.name for link in links if link.name in unsound]
-    root = etree.fromstring(urdf.xml)
-    elements = {element.get("name"): element for element in root.findall("link")}
-    for name in names:
-        for old in elements[name].findall("inertial"):
-            elements[name].remove(old)
-        elements[name].append(_inertial_of_box(structure, name))
-    return checked_urdf(urdf.path, root), tuple(names)
-
-
-def _mass(structure: Structure, link: str) -> float:
-    inertial = structure.urdf.link(link).inertial
-    return 0.0 if inertial is None or inertial.mass is None else float(inertial.mass)
-
-
-def _unbalanced(link: Any) -> bool:
-    """Whether one moment is more than the sum of the others, which is impossible."""
-    if link.inertial is None or link.inertial.inertia is None:
-        return False
-    low, middle, high = np.linalg.eigvalsh(link.inertial.inertia)
-    return bool(high > UNBALANCED * (low + middle))
-
-
-def _inertial_of_box(structure: Structure, link: str) -> Any:
-    points = structure.points(link, link)
-    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3),) * 2
-    sides = np.maximum(high - low, SMALL)
-    mass = _mass(structure, link)
-    mass = mass if mass > 0 else max(LIGHT, DENSITY * float(sides.prod()))
-    squares = sides**2
-    moments = mass / 12 * (squares.sum() - squares)
-    element = etree.Element("inertial")
-    xyz = " ".join(repr(round(float(x), 9)) for x in (low + high) / 2)
-    etree.SubElement(element, "origin", xyz=xyz, rpy="0 0 0")
-    etree.SubElement(element, "mass", value=repr(mass))
-    zero = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-    named = zip(("ixx", "iyy", "izz"), moments, strict=True)
-    etree.SubElement(element, "inertia", {n: repr(float(x)) for n, x in named} | zero)
-    return element
 
 
 def robot_picture(robot: Robot) -> bytes:

@@ -1,6 +1,5 @@
 """Proposing a robot description from a URDF: base, footprint, torso, arms, hands and body."""
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,19 +8,22 @@ from typing import Any
 
 import numpy as np
 from lxml import etree
-from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription
-from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, at_rest, checked_urdf
+from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf
+from cgtorch.tabletop.robot_folder.base import add_frame, base_of, placed_base, rest_positions
 from cgtorch.tabletop.robot_folder.chains import (
     ARM,
+    FEW_JOINTS,
     LEAST_JOINTS,
     chains_of,
     slides_upright,
     told,
 )
+from cgtorch.tabletop.robot_folder.solid import solid_arms
 from cgtorch.tabletop.robot_folder.structure import (
+    BEYOND_END,
     Array,
     Structure,
     Tool,
@@ -29,12 +31,8 @@ from cgtorch.tabletop.robot_folder.structure import (
     tool_of,
 )
 
-FLOOR_LINK = "base_footprint"
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
-VIRTUAL = 2  # slides of a link without a body, from which they are a virtual base
-PLACES = ("world", "map", "odom")
-"""Names of root links that do not belong to the robot."""
-OFF_FLOOR = 0.02  # m that the lowest point may be from the base frame's plane
+LEAST_SIDE = 10.0  # mm of a footprint
 LOW = 0.5  # m: shapes that begin below are seen by the footprint
 ABOVE_WHEELS = 0.3  # m: no arm reaches shapes that end below
 SHOULDER = 1.0  # m above the floor, where a torso holds its arms
@@ -48,6 +46,10 @@ class Wishes:
         name: The name of the robot.
         base_frame, footprint, torso_position, arms, body: As in `RobotDescription`.
         torso_joint: As there; an empty text for none.
+        groups: Arms from the link that carries each to the last link that its joints move, which
+            an SRDF names; their tool frames are proposed.
+        excludes: As in `RobotDescription`.
+        stand: The height of a stand on which the robot is put, m; 0 for none.
         held: Positions of joints outside the arms, rad or m.
         home: Positions of the arms' joints while the robot drives, rad or m.
     """
@@ -59,6 +61,9 @@ class Wishes:
     torso_position: float | None = None
     arms: tuple[Arm, ...] = ()
     body: tuple[str, ...] = ()
+    groups: tuple[Arm, ...] = ()
+    excludes: tuple[tuple[str, ...], ...] = ()
+    stand: float = 0.0
     held: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     home: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -82,20 +87,26 @@ def propose(
     RobotError if no arm is found or given, or a link or joint of a wish does not exist.
     """
     notes: list[str] = []
-    urdf, base = _base(Structure(urdf, urdf.model.base_link, corners), wishes, notes)
-    structure = Structure(urdf, base, corners)
     for name in wishes.held:
         urdf.joint(name)
-    urdf.model.update_cfg(_at_rest(structure, set()) | dict(wishes.held))
-    if wishes.arms:
-        hands = [_hand_of(structure, arm) for arm in wishes.arms]
+    found = base_of(Structure(urdf, urdf.model.base_link, corners), wishes.base_frame, notes)
+    structure = Structure(urdf, found.link, corners)
+    urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
+    given = wishes.arms or wishes.groups
+    if given:
+        hands = [_hand_of(structure, arm) for arm in given]
         shared, chains = _chains(structure, hands)
     else:
         hands, shared, chains = _found(structure, notes)
+    structure = replace(structure, urdf=solid_arms(structure, chains, hands, notes))
+    structure.urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
+    urdf, base = placed_base(structure, found, chains, wishes.stand, notes)
+    structure = Structure(urdf, base, corners)
+    urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
     opened = {k: v for hand in hands for k, v in open_fingers(structure, hand).items()}
     torso = _torso(structure, shared, chains, wishes)
     in_arms = {joint.name for chain in chains for joint in chain}
-    held = _at_rest(structure, in_arms) | opened | dict(wishes.held)
+    held = rest_positions(urdf, tuple(in_arms)) | opened | dict(wishes.held)
     position = None if torso is None else held.pop(torso)
     position = wishes.torso_position if wishes.torso_position is not None else position
     urdf.model.update_cfg(held if torso is None else {**held, torso: position})
@@ -126,89 +137,9 @@ def propose(
         body=body,
         gripper_joints=held,
         home=wishes.home,
+        excludes=wishes.excludes,
     )
     return Proposal(urdf, words, tuple(notes))
-
-
-def _base(structure: Structure, wishes: Wishes, notes: list[str]) -> tuple[Urdf, str]:
-    """The frame on the floor, which is added below the root if the robot has none."""
-    urdf, base = structure.urdf, structure.base
-    if wishes.base_frame is not None:
-        return urdf, str(urdf.link(wishes.base_frame).name)
-    base = _without_virtual(structure, notes)
-    if base in PLACES and len(structure.below[base]) == 1:
-        base = structure.below[base][0].child
-    structure = replace(structure, base=base)
-    urdf.model.update_cfg(_at_rest(structure, set()))
-    known = [link for link in structure.rigid(base) if "footprint" in link]
-    if known:
-        ground = float(structure.pose(known[0])[2, 3])
-    else:
-        every = [structure.points(name) for name in structure.hanging(base)]
-        ground = float(np.concatenate([np.zeros((0, 3)), *every])[:, 2].min(initial=math.inf))
-    if not math.isfinite(ground):
-        notes.append(f"nothing of the robot collides, so that {base!r} is taken to be on the floor")
-        return urdf, base
-    if abs(ground) <= OFF_FLOOR:
-        return urdf, base
-    name = FLOOR_LINK if FLOOR_LINK not in structure.below else f"{FLOOR_LINK}_added"
-    notes.append(
-        f"{base!r} is {-ground:.3f} m above the lowest point of the robot, so the link {name!r} "
-        "was added there"
-    )
-    root = etree.fromstring(urdf.xml)
-    if base != urdf.model.base_link:  # the joint that fixes the robot in a world is left out
-        above = structure.above[base]
-        for element in root.findall("joint"):
-            if element.get("name") == above.name:
-                root.remove(element)
-        for element in root.findall("link"):
-            if element.get("name") == above.parent:
-                root.remove(element)
-    pose = np.eye(4)
-    pose[2, 3] = -ground
-    _add_frame(root, name, base, pose, above=True)
-    return checked_urdf(urdf.path, root), name
-
-
-def _without_virtual(structure: Structure, notes: list[str]) -> str:
-    """The link below the joints by which a URDF lets its base drive, if it has two such slides."""
-    link, virtual = structure.base, list[Any]()
-    while len(structure.below[link]) == 1 and not _has_body(structure, link):
-        joint = structure.below[link][0]
-        virtual += [joint] if joint.type in MOVING else []
-        link = joint.child
-    slides = [j for j in virtual if j.type == "prismatic" and not slides_upright(structure, j)]
-    if len(slides) < VIRTUAL:
-        return structure.base
-    names = ", ".join(joint.name for joint in virtual)
-    notes.append(f"{names} are taken for how the base drives, so that {link!r} is the base")
-    return link
-
-
-def _has_body(structure: Structure, link: str) -> bool:
-    inertial = structure.urdf.link(link).inertial
-    return bool(len(structure.seen([link]))) or bool(inertial is not None and inertial.mass)
-
-
-def _add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False) -> None:
-    """Add a link at a pose in the frame of another; with `above`, as the parent of the other."""
-    etree.SubElement(root, "link", name=name)
-    joint = etree.SubElement(root, "joint", name=f"{name}_joint", type="fixed")
-    numbers = pose[:3, 3].tolist(), transformations.euler_from_matrix(pose, "sxyz")
-    xyz, rpy = (" ".join(repr(round(float(x), 9)) for x in part) for part in numbers)
-    etree.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
-    etree.SubElement(joint, "parent", link=name if above else link)
-    etree.SubElement(joint, "child", link=link if above else name)
-
-
-def _at_rest(structure: Structure, others: set[str]) -> dict[str, float]:
-    """The positions of all independent joints except some: 0, or as near as limits allow."""
-    return {
-        joint.name: at_rest(joint)
-        for joint in structure.urdf.model.robot.joints
-        if joint.type in MOVING and joint.mimic is None and joint.name not in others
-    }
 
 
 def _found(structure: Structure, notes: list[str]) -> tuple[list[str], list[Any], list[list[Any]]]:
@@ -218,7 +149,7 @@ def _found(structure: Structure, notes: list[str]) -> tuple[list[str], list[Any]
     others = told(every)
     if not arms:
         raise RobotError(
-            f"URDF {str(structure.urdf.path)!r} has no chain of {LEAST_JOINTS} joints or more from "
+            f"URDF {str(structure.urdf.path)!r} has no chain of {FEW_JOINTS} joints or more from "
             f"a body or torso to a hand{f' (no arms: {others})' if others else ''}: name the arms "
             "by --arm NAME=BASE_LINK:TOOL_FRAME"
         )
@@ -282,7 +213,7 @@ def _arms(
             frame = f"{name}_tool_frame"
             while frame in structure.below:
                 frame += "_added"
-            _add_frame(root, frame, tool.parent, tool.pose)
+            add_frame(root, frame, tool.parent, tool.pose)
             notes.append(f"arm {name!r}: the link {frame!r} was added {_where(tool)}")
         if not tool.fingers:
             notes.append(f"arm {name!r} has no fingers: it needs a gripper to grasp anything")
@@ -293,7 +224,7 @@ def _arms(
 
 def _where(tool: Tool) -> str:
     x, y, z = tool.pose[:3, 3]
-    place = "between its finger tips" if tool.fingers else "at its end"
+    place = "between its finger tips" if tool.fingers else f"{BEYOND_END} m beyond its end"
     return f"{place}, at ({x:.3f}, {y:.3f}, {z:.3f}) m in {tool.parent!r}"
 
 
@@ -344,5 +275,6 @@ def _footprint(
         return -0.1, 0.1, -0.1, 0.1
     points = np.concatenate(low)[:, :2] * 1000
     least, most = points.min(axis=0).round(2), points.max(axis=0).round(2)  # files are rounded, too
-    (x0, y0), (x1, y1) = np.floor(least) / 1000, np.ceil(most) / 1000
+    room = np.maximum(LEAST_SIDE - (most - least), 0) / 2
+    (x0, y0), (x1, y1) = np.floor(least - room) / 1000, np.ceil(most + room) / 1000
     return float(x0), float(x1), float(y0), float(y1)

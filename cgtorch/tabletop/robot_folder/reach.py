@@ -5,25 +5,24 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from cgtorch.tabletop.kinematics import Robot, graspable
+from cgtorch.tabletop.kinematics.clear_ways import POSTURE, ways_clear
+from cgtorch.tabletop.kinematics.grasping import APPROACHES, followed, places_of, waypoints
 from cgtorch.tabletop.kinematics.urdf import MOVING, at_rest
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 DEPTH, WIDTH, HEIGHT = 0.8, 1.6, 0.75  # m, of the table on which a robot is tried
-OTHERS = (
-    1.2,
-    0.9,
-    0.6,
-    0.45,
-    0.3,
-    0.15,
-    0.05,
-)  # m: other heights, where nothing on that is grasped
+OTHERS = (1.2, 0.9, 0.6, 0.45, 0.3, 0.15, 0.05)
+"""Other heights (m), where nothing on that table is grasped."""
 AHEAD = 0.05  # m from the footprint to that table
 TURNED = 60  # degrees from x at rest that are told
 SIDEWAYS = 0.2  # of an arm's length, how far it leads to the side at least to point somewhere
 DEPTHS, ASIDE = (0.1, 0.2, 0.3), (-0.3, 0.0, 0.3)  # m: where objects are on it
+OBJECTS = len(DEPTHS) * len(ASIDE)
+FEW = (1, 3, 4, 5)
+"""Those of these by which other heights are compared: the nearest, and all at the middle depth."""
 
 
 @dataclass(frozen=True)
@@ -35,44 +34,97 @@ class Reached:
         why: Why there is none, and what suits better, in a sentence; "" if there is one.
     """
 
-    grasps: torch.Tensor
+    grasps: Tensor
     why: str = ""
 
 
-def reached(robot: Robot) -> Reached:
-    """What a robot can grasp on a table of usual height, and if nothing, why."""
-    grasps = _tried(robot, HEIGHT)
+def reached(robot: Robot, stand: float = 0.0) -> Reached:
+    """What a robot, on a stand of some height (m), can grasp on a table of usual height, and why.
+
+    Why it can grasp nothing is told with numbers, and with a height of tables that suits it.
+    """
+    grasps = graspable(robot, *_objects(robot, HEIGHT))
     if grasps.any():
         return Reached(grasps)
-    better = {height: int(_tried(robot, height).sum()) for height in OTHERS}
-    best = max(better, key=lambda height: better[height])
-    also = (
-        f"at {best:g} m it can grasp {better[best]} of {len(grasps)}, so make tables of that height"
-    )
-    if not better[best]:
-        also = (
-            f"nor at any height from {min(OTHERS):g} to {max(OTHERS):g} m: check that x leads "
-            "forward, the tool frame, and the limits of joints"
-        )
-    nearest = min((_lacking(robot, i) for i in range(len(robot.arms))), key=lambda far: far[0])
-    return Reached(grasps, f"{nearest[1]}; {also}")
+    height = _better_height(robot)
+    lacks = [_lacking(robot, number) for number in range(len(robot.arms))]
+    nearest = min(range(len(lacks)), key=lambda number: lacks[number][0])
+    far, about, shoulder = lacks[nearest]
+    if height is not None:
+        most = int(graspable(robot, *_objects(robot, height)).sum())
+        reason = "" if far else f"; {_hindered(robot, nearest, HEIGHT)}"
+        advice = _better(height, most, stand)
+    else:
+        reason = f"; nor can it at any height from {min(OTHERS):g} to {max(OTHERS):g} m"
+        suits = min((HEIGHT, *OTHERS), key=lambda height: abs(height - shoulder))
+        advice = _hindered(robot, nearest, suits)
+    return Reached(grasps, f"{about}{reason}; {advice}")
 
 
-def _objects(robot: Robot, height: float) -> torch.Tensor:
+def _objects(robot: Robot, height: float) -> tuple[Tensor, Tensor]:
+    """Objects (9, 3) on a table of some height, and the table (9, 6), in the base frame."""
     edge = robot.description.footprint[1] + AHEAD
-    return torch.tensor([[edge + x, y, height] for x in DEPTHS for y in ASIDE])
-
-
-def _tried(robot: Robot, height: float) -> torch.Tensor:
-    """(9,) which objects on a table of that height the robot can grasp."""
-    objects = _objects(robot, height)
-    edge = robot.description.footprint[1] + AHEAD
+    position = torch.tensor([[edge + x, y, height] for x in DEPTHS for y in ASIDE])
     table = torch.tensor([edge + DEPTH / 2, 0.0, 0.0, DEPTH, WIDTH, height])
-    return graspable(robot, objects, table.expand(len(objects), 6))
+    return position, table.expand(OBJECTS, 6)
 
 
-def _lacking(robot: Robot, number: int) -> tuple[float, str]:
-    """How far an arm is too short for the nearest object, m, and what that says."""
+def _better_height(robot: Robot) -> float | None:
+    """The height at which most of a few objects can be grasped, m; None if none can."""
+    tables = [[part[list(FEW)] for part in _objects(robot, height)] for height in OTHERS]
+    every = graspable(robot, *(torch.cat(parts) for parts in zip(*tables, strict=True)))
+    counts = every.view(len(OTHERS), len(FEW)).sum(1)
+    return OTHERS[int(counts.argmax())] if counts.any() else None
+
+
+def _better(height: float, count: int, stand: float) -> str:
+    """What to do where objects can be grasped at another height."""
+    found = f"at {height:g} m it can grasp {count} of {OBJECTS}, so make tables of that height"
+    if height > HEIGHT:
+        return found
+    return f"{found}, or put it on a stand by --stand {round(stand + HEIGHT - height, 2):g}"
+
+
+def _hindered(robot: Robot, which: int, height: float) -> str:
+    """What hinders an arm on a table of some height, with how many approaches come how far."""
+    posed, clear, follows = _progress(robot, which, height)
+    if not posed:
+        return (
+            "no posture within the limits of the joints brings the tool frame to an object, so "
+            "correct the tool frame or the limits if that is wrong"
+        )
+    total = OBJECTS * len(APPROACHES)
+    name = robot.arms[which].name
+    come = f"arm {name!r} has a posture at {posed} of {total} approaches at {height:g} m"
+    if not clear:
+        return f"{come}, but all touch the table or the robot: look for shapes that are too big"
+    if not follows:
+        return (
+            f"{come}, clear ones at {clear}, but from none of these it can move 0.10 m back from "
+            "the object and up within the limits of its joints"
+        )
+    return (
+        f"{come}, clear ones at {clear}, and follows {follows} of them, but no clear way leads "
+        "there from home: give another one by --home"
+    )
+
+
+def _progress(robot: Robot, which: int, height: float) -> tuple[int, int, int]:
+    """How many approaches to objects at a height have postures, clear ones, and are followed."""
+    arm, (position, table) = robot.arms[which], _objects(robot, height)
+    paths = torch.cat([waypoints(position, *approach) for approach in APPROACHES])
+    places = places_of(position, table)
+    path, kept = arm.aimed(paths)
+    which_object = torch.arange(OBJECTS).repeat(len(APPROACHES))[kept]
+    row, q = arm.candidates(path[:, 2])
+    here, kind = places[which_object[row]], torch.full_like(row, POSTURE)
+    clear = ways_clear(arm, robot.scenes[which], here, kind, q[:, None])
+    follows, _ = followed(robot, which, path, places[which_object], row, q)
+    return len(row.unique()), len(row[clear].unique()), len(follows.unique())
+
+
+def _lacking(robot: Robot, number: int) -> tuple[float, str, float]:
+    """How far an arm is too short for the nearest object, what that says, and its height, m."""
     words = robot.description
     arm, structure = words.arms[number], Structure(robot.urdf, words.base_frame)
     joints = robot.urdf.joints_between(arm.base_link, arm.tool_frame)
@@ -81,8 +133,10 @@ def _lacking(robot: Robot, number: int) -> tuple[float, str]:
     places = np.stack(
         [structure.pose(link)[:3, 3] for link in [*(j.child for j in moving), arm.tool_frame]]
     )
-    length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
-    away = np.linalg.norm(_objects(robot, HEIGHT).numpy() - places[0], axis=1)
+    slides = [joint for joint in moving[1:] if joint.type == "prismatic"]
+    drawn = sum(max(abs(joint.limit.lower), abs(joint.limit.upper)) for joint in slides)
+    length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum() + drawn)
+    away = np.linalg.norm(_objects(robot, HEIGHT)[0].numpy() - places[0], axis=1)
     about = f"arm {arm.name!r} is {length:.2f} m long from its shoulder, {places[0, 2]:.2f} m high"
     near, (x, y) = float(away.min()), (places[-1] - places[0])[:2]
     if (
@@ -91,5 +145,5 @@ def _lacking(robot: Robot, number: int) -> tuple[float, str]:
     ):
         about += f", and at rest it points {turn:.0f} degrees away from x"
     if near > length:
-        return near - length, f"{about}, and the nearest object {near:.2f} m away from that"
-    return 0.0, f"{about}, but no posture leads to an object and up with it and touches nothing"
+        about += f", and the nearest object {near:.2f} m away from that"
+    return max(near - length, 0.0), about, float(places[0, 2])

@@ -19,6 +19,10 @@ MOST_TRIED = 5  # finger joints of which every combination is tried
 JAW_OPEN, STEPS = 0.1, 17  # m between its tip and the hand's, and positions that are tried
 FROM_TIP = 0.02  # m from the finger tips to the middle of an object
 NEAR_TIP = (-0.06, 0.005)  # m along the approach, where a frame that is there may be
+BEYOND_END = (
+    0.06  # m beyond the end of an arm without fingers, where a gripper would hold an object
+)
+BEYOND = (-0.03, 0.14)  # m from there along the approach, where a frame that is there may be
 ASIDE = 0.015  # m across it
 ALONG, ACROSS = 0.95, 0.9  # cosines by which axes of a frame that is there may differ
 
@@ -85,13 +89,16 @@ class Structure:
             return [each @ pose[:3, :3].T + pose[:3, 3] for each in self.corners[link]]
         return _placed(self.urdf.link(link).collisions, pose)
 
-    def seen(self, links: Sequence[str]) -> Array:
-        """(K, 3) points in the base frame on links, or on what is seen of those without shapes."""
-        every = [
-            self.shapes(name) or _placed(self.urdf.link(name).visuals, self.pose(name))
-            for name in links
-        ]
-        return np.concatenate([np.zeros((0, 3)), *itertools.chain(*every)])
+    def seen(self, links: Sequence[str], frame: str | None = None) -> Array:
+        """(K, 3) points on links, or on what is seen of those without shapes.
+
+        They are in the base frame or another one, in m.
+        """
+        every = list[Array]()
+        for name in links:
+            pose = np.asarray(self.urdf.model.get_transform(name, frame or self.base))
+            every += self.shapes(name, pose) or _placed(self.urdf.link(name).visuals, pose)
+        return np.concatenate([np.zeros((0, 3)), *every])
 
 
 def _placed(parts: Sequence[Any], pose: Array) -> list[Array]:
@@ -177,12 +184,11 @@ def _branches(structure: Structure, hand: str) -> list[Array]:
     """The points of each finger in the hand's frame; a single jaw closes against the hand."""
     found, joints = list[Array](), structure.moved(hand)
     for joint in joints:
-        links = structure.hanging(joint.child)
-        points = np.concatenate([structure.points(link, hand) for link in links])
+        points = structure.seen(structure.hanging(joint.child), hand)
         found.extend([points] if len(points) else [])
     if len(joints) == len(found) == 1:
         begin = np.asarray(structure.urdf.model.get_transform(joints[0].child, hand))[:3, 3]
-        body = np.concatenate([structure.points(link, hand) for link in structure.rigid(hand)])
+        body = structure.seen(structure.rigid(hand), hand)
         beyond = body[np.linalg.norm(body, axis=1) > np.linalg.norm(begin)]
         found.extend([beyond] if len(beyond) else [])
     return found
@@ -199,14 +205,13 @@ def _opening(structure: Structure, hand: str) -> float:
 
 
 def tool_of(structure: Structure, hand: str) -> Tool:
-    """The tool frame of a hand with open fingers: between their tips.
+    """The tool frame of a hand with open fingers: between their tips, or before an end without any.
 
     x is the axis of the last joint if it leads to the fingers, else the best axis of the hand's
     frame; y leads from one finger to another. A link of the URDF with nearly this frame is used.
     """
     fingers = _branches(structure, hand)
-    body = [structure.points(link, hand) for link in structure.rigid(hand)]
-    points = np.concatenate([np.zeros((0, 3)), *(fingers or body)])
+    points = np.concatenate(fingers) if fingers else structure.seen(structure.rigid(hand), hand)
     points = points if len(points) else np.zeros((1, 3))
     x = _approach(structure, hand, points.mean(axis=0))
     centres = [finger.mean(axis=0) for finger in fingers]
@@ -215,16 +220,17 @@ def tool_of(structure: Structure, hand: str) -> Tool:
     one, other = (np.zeros(3), np.zeros(3)) if pair is None else pair
     y, middle = _across(x, one - other), (one + other) / 2
     tip = float((points @ x).max())
+    hold, (near, far) = (-FROM_TIP, NEAR_TIP) if fingers else (BEYOND_END, BEYOND)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([x, y, np.cross(x, y)], axis=1)
-    pose[:3, 3] = middle + x * (tip - FROM_TIP * bool(fingers) - middle @ x)
+    pose[:3, 3] = middle + x * (tip + hold - middle @ x)
     for link in sorted(structure.rigid(hand), key=lambda link: _away(structure, hand, link, pose)):
         own = np.asarray(structure.urdf.model.get_transform(link, hand))
         shift = own[:3, 3] - pose[:3, 3]
         along = float(shift @ x) - FROM_TIP * bool(fingers)
         aside = float(np.linalg.norm(shift - (shift @ x) * x))
         straight = own[:3, 0] @ x > ALONG and (pair is None or abs(own[:3, 1] @ y) > ACROSS)
-        if straight and aside < ASIDE and NEAR_TIP[0] <= along <= NEAR_TIP[1]:
+        if straight and aside < ASIDE and near <= along <= far:
             return Tool(link, hand, own, bool(fingers))
     return Tool(None, hand, pose, bool(fingers))
 
@@ -237,15 +243,19 @@ def _away(structure: Structure, hand: str, link: str, pose: Array) -> tuple[bool
 
 
 def _approach(structure: Structure, hand: str, toward: Array) -> Array:
-    joint = structure.path(hand)[-1]
+    """The direction in a hand's frame in which it approaches things: to a point, from the arm.
+
+    What the last joint moves may begin behind that joint, so that a direction along its axis is
+    told from where the joint before it is.
+    """
+    before, joint = structure.path(hand)[-2:]
     turned = np.asarray(structure.urdf.model.get_transform(joint.child, hand))
+    behind = np.asarray(structure.urdf.model.get_transform(before.child, hand))[:3, 3]
     axis = turned[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
     way = toward - turned[:3, 3]
     length = float(np.linalg.norm(way))
-    if length < 1e-6:
-        return axis
-    if abs(float(axis @ way)) > 0.8 * length:
-        return axis * math.copysign(1.0, float(axis @ way))
+    if abs(float(axis @ way)) >= 0.8 * length:
+        return axis * math.copysign(1.0, float(axis @ (toward - behind)))
     own = np.eye(3)[int(np.abs(way).argmax())]
     return own * math.copysign(1.0, float(own @ way))
 

@@ -28,6 +28,19 @@ BOMB = (
 )
 
 
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+CIRCLE = (
+    f'<robot>{LINKS}<joint name="j" type="fixed">{ENDS}</joint>'
+    '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint></robot>'
+)
+LONG = "".join(
+    f'<link name="l{i + 1}"/><joint name="j{i}" type="fixed"><parent link="l{i}"/>'
+    f'<child link="l{i + 1}"/></joint>'
+    for i in range(101)
+)
+LONG = f'<robot><link name="l0"/>{LONG}</robot>'
+
+
 def fails(call, *arguments, **keywords):
     with pytest.raises(RobotError) as caught:
         call(*arguments, **keywords)
@@ -54,6 +67,10 @@ def test_the_files_are_sound_before_they_are_broken(tmp_path):
         ("<robot", "not well-formed XML"),
         ("<robot><link name='a'></robot>", "not well-formed XML"),
         ("<sdf/>", "starts with <sdf>"),
+        (f'<robot {XACRO}><xacro:include filename="x"/></robot>', "is a xacro file"),
+        (f'<robot {XACRO}>{LINKS}<link name="${{x}}"/><xacro:a/></robot>', "is a xacro file"),
+        (CIRCLE, "all links hang from each other in a loop"),
+        (LONG, "has 101 joints in a row: give a robot of 100 at most"),
         (BOMB, "document type"),
         ('<!DOCTYPE robot SYSTEM "file:///etc/passwd"><robot/>', "document type"),
         ('<robot><link name="a"/><link name="a"/></robot>', "'a' is there 2 times, in lines 1, 1"),
@@ -243,6 +260,16 @@ def test_a_limit_without_a_number_is_nought_as_the_format_says(tmp_path):
         text = joined("revolute", f'<limit {given} effort="1" velocity="1"/>')
         limit = load_urdf(robot(tmp_path, text)).joint("j").limit
         assert (limit.lower, limit.upper) == wanted
+
+
+def test_prefixes_that_nothing_declares_and_commas_are_read_as_ros_reads_them(tmp_path):
+    inside = '<origin xyz="1, 2,3" rpy="0, 0, 0"/><a:b/>' + LIMIT.format(-1, 1)
+    text = joined("revolute", inside.replace("effort", 'drake:acceleration="9" effort'))
+    urdf = load_urdf(robot(tmp_path, text.replace("<robot>", f"<robot {XACRO}><xacro:old/>")))
+    assert urdf.joint("j").origin[:3, 3].tolist() == [1, 2, 3]
+    assert b":b" not in urdf.xml
+    assert b"drake" not in urdf.xml
+    assert "not well-formed" in fails(load_urdf, robot(tmp_path, text.replace("</robot>", "")))
 
 
 def test_lines_are_told(tmp_path):

@@ -5,7 +5,7 @@ import pytorch_kinematics
 import torch
 from support import tool_pose
 
-from cgtorch.tabletop.kinematics.inverse_kinematics import numerical_candidates
+from cgtorch.tabletop.kinematics.inverse_kinematics import NumericalArm, numerical_candidates
 
 
 def reached(arm, pose, **keywords):
@@ -106,7 +106,7 @@ def test_numerical_solver_agrees_with_the_closed_form(pr2, random_joints, genera
     local = torch.linalg.inv(arm.mount) @ pose
     lower = torch.where(arm.continuous, -math.pi, arm.lower)
     upper = torch.where(arm.continuous, math.pi, arm.upper)
-    row, q = numerical_candidates(arm.chain(pose)[0], lower, upper, local)
+    row, q = numerical_candidates(NumericalArm(arm.chain(pose)[0], lower, upper), local)
     assert len(row.unique()) / 200 >= 0.9
     error = tool_pose(arm, q) - pose[row]
     assert error[:, :3, 3].norm(dim=1).max() < 2e-4

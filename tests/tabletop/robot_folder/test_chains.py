@@ -1,6 +1,7 @@
 """Which chains are arms: by where they begin and what they end in, not by height and joints."""
 
 import pytest
+from small_urdfs import LIMIT, box, chain, fingers, joint, link, urdf_of
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
@@ -9,47 +10,9 @@ from cgtorch.tabletop.robot_folder.make import make_robot_folder
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 from cgtorch.tabletop.robot_folder.structure import Structure
 
-LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
-AXES = "0 0 1", "0 1 0"
-
-
-def box(size="0.05 0.05 0.05", at="0 0 0", kind="collision"):
-    return f'<{kind}><origin xyz="{at}"/><geometry><box size="{size}"/></geometry></{kind}>'
-
-
-def link(name, shapes=None):
-    return f'<link name="{name}">{box() if shapes is None else shapes}</link>'
-
-
-def joint(name, above, at="0 0 0.1", axis="0 0 1", kind="revolute", more=LIMIT):
-    return (
-        f'<joint name="{name}_joint" type="{kind}"><parent link="{above}"/><child link="{name}"/>'
-        f'<origin xyz="{at}"/><axis xyz="{axis}"/>{more}</joint>'
-    )
-
-
-def chain(name, count, above, at="0 0 0.1", first=None, shapes=None):
-    """Links and joints of a chain that ends in nothing."""
-    parts = []
-    for i in range(count):
-        parts.append(link(f"{name}{i}", shapes))
-        parts.append(joint(f"{name}{i}", above, at if i or first is None else first, AXES[i % 2]))
-        above = f"{name}{i}"
-    return "".join(parts)
-
-
-def fingers(name, above, at="0 {} 0.05"):
-    two = (("a", 0.03), ("b", -0.03))
-    each = (
-        link(f"{name}_{x}") + joint(f"{name}_{x}", above, at.format(y), "1 0 0") for x, y in two
-    )
-    return "".join(each)
-
 
 def structure_of(tmp_path, *parts):
-    path = tmp_path / "robot.urdf"
-    path.write_text(f'<robot name="x">{"".join(parts)}</robot>')
-    urdf = load_urdf(path)
+    urdf = load_urdf(urdf_of(tmp_path, *parts))
     return Structure(urdf, urdf.model.base_link)
 
 
@@ -83,7 +46,7 @@ def test_joints_count_after_the_torso(tmp_path):
     structure = structure_of(tmp_path, BASE, torso, *two, neck)
     assert kinds(structure) == {"arm0_5": "arm", "arm1_5": "arm", "neck2": SHORT}
     assert arms(structure) == {"arm0_5": 6, "arm1_5": 6}
-    ends = [chain(f"arm{i}_", 4, "waist2", DOWN, side) for i, side in enumerate(SIDES)]
+    ends = [chain(f"arm{i}_", 3, "waist2", DOWN, side) for i, side in enumerate(SIDES)]
     assert arms(structure_of(tmp_path, BASE, torso, *ends)) == {}
 
 
@@ -103,6 +66,35 @@ def test_legs_hang_where_arms_have_a_torso_or_reach_the_floor(tmp_path):
     stand = (chain(f"a{i}_", 6, "base", "0.1 0 -0.01", side) for i, side in enumerate(SIDES))
     low = link("base", box("0.3 0.3 0.05", "0 0 0.1"))
     assert len(arms(structure_of(tmp_path, low, *stand))) == 2  # which lead to the side
+
+
+def test_arms_have_four_joints_where_none_has_more(tmp_path):
+    two = [chain(f"arm{i}_", 4, "waist0", "0.1 0 0", side) for i, side in enumerate(SIDES)]
+    waist = chain("waist", 1, "base")
+    assert arms(structure_of(tmp_path, PELVIS, waist, *two, LEGS)) == {"arm0_3": 4, "arm1_3": 4}
+    longer = chain("long", 6, "base", "0.1 0 0", "0 0 0.2")
+    assert "arm0_3" not in arms(structure_of(tmp_path, BASE, waist, *two, longer))
+    hand = chain("arm", 4, "base", first="0 0 0.9") + fingers("hand", "arm3")
+    assert arms(structure_of(tmp_path, BASE, hand)) == {"arm3": 4}
+
+
+def test_legs_may_hang_from_a_waist_and_may_have_wheels_or_claws(tmp_path):
+    two = [chain(f"arm{i}_", 6, "base", "0.1 0 0", side) for i, side in enumerate(SIDES)]
+    both = {"arm0_5": "arm", "arm1_5": "arm"}
+    waist = chain("waist", 1, "base", DOWN, "0 0 -0.1")
+    hips = [chain(f"leg{i}_", 6, "waist0", DOWN, hip) for i, hip in enumerate(HIPS)]
+    found = kinds(structure_of(tmp_path, PELVIS, *two, waist, *hips))
+    assert found == {**both, "leg0_5": LEG, "leg1_5": LEG}
+    leg = chain("leg", 6, "base", DOWN, "0 0 -0.2") + fingers("wheel", "leg5", "0 {} 0")
+    rolls = leg.replace(
+        '_joint" type="revolute"><parent link="leg5"',
+        '_joint" type="continuous"><parent link="leg5"',
+    )
+    assert kinds(structure_of(tmp_path, PELVIS, *two, rolls)) == {**both, "leg5": LEG}
+    claws = "".join(fingers(f"claw{i}", f"leg{i}_5", "0 {} -0.03") for i in range(2))
+    hands = "".join(fingers(f"hand{i}", f"arm{i}_5", "0.05 {} 0") for i in range(2))
+    found = kinds(structure_of(tmp_path, PELVIS, *two, LEGS, claws, hands))
+    assert found == {**both, "leg0_5": LEG, "leg1_5": LEG}
 
 
 def test_a_head_without_fingers_is_no_arm_where_others_have_some(tmp_path):
@@ -166,6 +158,28 @@ def test_slides_of_a_virtual_base_belong_to_no_arm(tmp_path):
     assert any("x_joint, y_joint, base_joint are taken for how the base" in n for n in found.notes)
 
 
+def test_a_telescope_needs_the_lift_below_it(tmp_path):
+    lift = link("lift") + joint("lift", "base", "0 0 1", "0 0 1", "prismatic")
+    draws = "".join(
+        link(f"l{i}")
+        + joint(f"l{i}", f"l{i - 1}" if i else "lift", "0.1 0 0", "1 0 0", "prismatic")
+        for i in range(4)
+    )
+    wrist = link("yaw") + joint("yaw", "l3") + fingers("hand", "yaw")
+    assert arms(structure_of(tmp_path, BASE, lift, draws, wrist)) == {"yaw": 6}
+    wrist = chain("wrist", 6, "lift", "0.1 0 0") + fingers("hand", "wrist5")
+    assert arms(structure_of(tmp_path, BASE, lift, wrist)) == {"wrist5": 6}
+
+
+def test_a_turn_and_a_slide_drive_a_base_too(tmp_path):
+    drive = (
+        link("odom", ""), link("turn", ""), joint("turn", "odom", "0 0 0"),
+        joint("base", "turn", "0 0 0", "1 0 0", "prismatic"),
+    )  # fmt: skip
+    found = propose(structure_of(tmp_path, *drive, BASE, chain("arm", 6, "base")).urdf, Wishes())
+    assert [arm.base_link for arm in found.words.arms] == ["base"]
+
+
 def test_what_is_no_arm_is_told(tmp_path):
     with pytest.raises(RobotError, match=r"6 joints from 'leg0_0_joint' to 'leg0_5_joint' \(a leg"):
         propose(structure_of(tmp_path, PELVIS, LEGS).urdf, Wishes())
@@ -201,7 +215,7 @@ def test_an_arm_without_shapes_is_told_and_visual_shapes_are_taken(tmp_path):
     assert any("its visual shapes are taken" in note for note in made.notes)
     assert made.robot.description.footprint == (-0.1, 0.1, -0.1, 0.1)
     first = BASE + chain("arm", 3, "base", first="0 0 1") + chain("far", 3, "arm2", shapes="")
-    assert make_robot_folder(written(tmp_path, first), tmp_path / "first").robot.arms
+    assert propose(structure_of(tmp_path, first).urdf, Wishes()).words.arms
 
 
 def test_why_nothing_is_reached_is_told_with_a_table_that_suits(tmp_path):

@@ -3,6 +3,7 @@
 import mesh_robot
 import numpy as np
 import pytest
+from small_urdfs import box, chain
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_robot, load_urdf, robots_folder
@@ -33,31 +34,13 @@ def test_a_built_in_robot_is_seen_as_it_is_described(name):
     assert {k for k, v in known.gripper_joints.items() if v} <= set(words.gripper_joints)
 
 
-LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
-
-
-def box(size):
-    return f'<collision><geometry><box size="{size}"/></geometry></collision>'
-
-
-def chain(name, count, above, place="0 0 0.1", first="0.2 0 0.5"):
-    """Links and joints of a chain that ends in nothing."""
-    parts = []
-    for i in range(count):
-        parts.append(
-            f'<link name="{name}{i}">{box("0.05 0.05 0.05")}</link>'
-            f'<joint name="{name}{i}_joint" type="revolute"><parent link="{above}"/>'
-            f'<child link="{name}{i}"/><origin xyz="{place if i else first}"/>'
-            f'<axis xyz="{"0 1 0" if i % 2 else "0 0 1"}"/>{LIMIT}</joint>'
-        )
-        above = f"{name}{i}"
-    return "".join(parts)
+FRONT = "0.2 0 0.5"
 
 
 def test_a_robot_above_the_floor_gets_a_frame_on_it_and_legs_are_no_arms(tmp_path):
     text = (
         f'<robot name="walker"><link name="pelvis">{box("0.3 0.3 0.2")}</link>'
-        + chain("arm", 6, "pelvis")
+        + chain("arm", 6, "pelvis", first=FRONT)
         + chain("left_leg", 6, "pelvis", "0 0 -0.12", "0 0.1 -0.2")
         + chain("right_leg", 6, "pelvis", "0 0 -0.12", "0 -0.1 -0.2")
         + "</robot>"
@@ -76,7 +59,9 @@ def test_a_frame_of_the_world_is_left_out(tmp_path):
         '<joint name="hold" type="fixed"><parent link="world"/><child link="stand"/></joint>'
         f'<link name="world"/><link name="stand">{box("0.2 0.2 1")}</link>'
     )
-    found = proposed(f'<robot name="x">{fixed}{chain("a", 6, "stand")}</robot>', tmp_path)
+    found = proposed(
+        f'<robot name="x">{fixed}{chain("a", 6, "stand", first=FRONT)}</robot>', tmp_path
+    )
     assert found.words.base_frame == "base_footprint"
     assert "world" not in found.urdf.model.link_map
     assert found.words.footprint == (-0.1, 0.1, -0.1, 0.1)
@@ -84,10 +69,10 @@ def test_a_frame_of_the_world_is_left_out(tmp_path):
 
 
 def test_no_arm_is_said_with_what_to_do(tmp_path):
-    text = f'<robot name="x"><link name="a">{box("1 1 1")}</link>{chain("b", 4, "a")}</robot>'
-    with pytest.raises(RobotError, match=r"no chain of 5 joints or more.*--arm NAME=BASE"):
+    text = f'<robot name="x"><link name="a">{box("1 1 1")}</link>{chain("b", 3, "a")}</robot>'
+    with pytest.raises(RobotError, match=r"no chain of 4 joints or more.*--arm NAME=BASE"):
         proposed(text, tmp_path)
-    wish = Wishes(arms=(Arm("short", "a", "b3"),))
+    wish = Wishes(arms=(Arm("short", "a", "b2"),))
     assert proposed(text, tmp_path, wish).words.arms == wish.arms
 
 
@@ -136,3 +121,12 @@ def test_a_wish_for_what_is_not_there(wishes, tmp_path):
     plain, _ = without_meshes(load_urdf(mesh_robot.write_package(tmp_path)))
     with pytest.raises(RobotError, match=r"has no (link|joint) 'nowhere'"):
         propose(plain, wishes)
+
+
+def test_a_footprint_of_a_point_has_some_size(tmp_path):
+    text = (
+        f'<robot name="x"><link name="a">{box("1e-9 1e-9 1e-9")}</link>{chain("b", 6, "a")}</robot>'
+    )
+    x0, x1, y0, y1 = proposed(text, tmp_path).words.footprint
+    assert x1 - x0 >= 0.01
+    assert y1 - y0 >= 0.01

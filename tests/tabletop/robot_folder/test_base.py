@@ -1,0 +1,49 @@
+"""Where the floor is, where a robot faces, and a stand."""
+
+import numpy as np
+import pytest
+from small_urdfs import box, chain, link, urdf_of
+
+from cgtorch.ground.errors import RobotError
+from cgtorch.tabletop.kinematics import load_urdf
+from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
+
+BASE = link("base", box("0.2 0.1 0.4", "0 0 0.2"))
+
+
+def proposed(tmp_path, *parts, **wishes):
+    return propose(load_urdf(urdf_of(tmp_path, *parts)), Wishes(**wishes))
+
+
+@pytest.mark.parametrize(
+    ("way", "degrees"), [("0 -0.1 0", -90), ("-0.1 0 0", 180), ("0.1 0 0", 0), ("0.09 0.05 0", 0)]
+)
+def test_x_leads_to_where_an_arm_reaches(tmp_path, way, degrees):
+    found = proposed(tmp_path, BASE, chain("arm", 6, "base", way, "0 0 0.4"))
+    turn = found.urdf.model.get_transform("base", found.words.base_frame)[:3, :3]
+    reached = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees)), 0])
+    np.testing.assert_allclose(turn @ reached, [1, 0, 0], atol=1e-6)
+    assert found.words.base_frame == ("base_footprint" if degrees else "base")
+    assert any("degrees away from the x of 'base'" in note for note in found.notes) == bool(degrees)
+    sides = (-0.05, 0.05, -0.1, 0.1) if degrees == -90 else (-0.1, 0.1, -0.05, 0.05)
+    assert found.words.footprint == pytest.approx(sides)
+
+
+def test_an_arm_that_hangs_low_does_not_lower_the_floor(tmp_path):
+    found = proposed(tmp_path, BASE, chain("arm", 6, "base", "0.02 0 -0.1", "0.15 0 0.4"))
+    assert found.words.base_frame == "base"
+
+
+def test_a_stand_lifts_the_robot_and_is_part_of_its_body(tmp_path):
+    arm = chain("arm", 6, "base", "0.1 0 0", "0 0 0.4")
+    found = proposed(tmp_path, BASE, arm, stand=0.5)
+    words, model = found.words, found.urdf.model
+    assert model.get_transform("base", words.base_frame)[2, 3] == pytest.approx(0.5)
+    assert model.get_transform("stand", words.base_frame)[2, 3] == pytest.approx(0.25)
+    np.testing.assert_allclose(
+        model.link_map["stand"].collisions[0].geometry.box.size, [0.2, 0.1, 0.5]
+    )
+    assert words.footprint == (-0.1, 0.1, -0.05, 0.05)
+    assert {"stand", "base"} <= set(words.body)
+    with pytest.raises(RobotError, match="a stand needs a base frame of its own, not 'base'"):
+        proposed(tmp_path, BASE, arm, stand=0.5, base_frame="base")
