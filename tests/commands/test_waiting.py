@@ -95,12 +95,15 @@ def test_an_interrupt(
             happens()
 
     monkeypatch.setattr("sys.argv", ["stopped"])
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # else not in the background
+    # Else they are ignored in the background, and with nohup.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    closed = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     try:
         with pytest.raises(SystemExit) as ended:
             run_command(click.Command("stopped", None, interrupted))
     finally:
         signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGHUP, closed)
     assert ended.value.code == 1
     assert capsys.readouterr().err.lstrip("\n") == line  # click ends the line of a ^C
 

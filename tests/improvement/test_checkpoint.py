@@ -109,9 +109,9 @@ def test_what_it_has_come_to_and_makes_no_sense_is_one_error(name: str) -> None:
 def test_only_clearly_more_fitness_is_a_better_champion() -> None:
     generation = second_generation(1)
     nobody = generation.population[:1]
-    for ahead, better in ((0.002, True), (0.0005, False), (-1.0, False)):
+    for ahead, better in ((0.2, True), (0.05, False), (-1.0, False)):
         before = Found(nobody, torch.zeros(3, dtype=torch.bool), generation.best - ahead)
-        after = before.after(generation, 2.0, Asked(steps=3)).after(generation, 0.5)
+        after = before.after(generation, 2.0, 0.1, Asked(steps=3)).after(generation, 0.5, 0.1)
         assert (after.generations, after.transitions) == (2, 2 * generation.transitions)
         assert (after.seconds, after.asked) == (2.5, Asked(steps=3))
         assert after.since == (1 if better else 2)
