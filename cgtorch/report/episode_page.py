@@ -16,7 +16,7 @@ from cgtorch.domains.film import Film, pillow
 from cgtorch.domains.way import Judge, Way, way_of
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import CgtorchError, printable
-from cgtorch.report.failures import in_unit, named, said_of
+from cgtorch.report.failure_words import in_unit, named, said_of
 from cgtorch.report.html import templates
 
 PACKAGE, WIDTH, QUALITY = "cgtorch.report", 560, 70

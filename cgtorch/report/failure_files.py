@@ -10,7 +10,7 @@ from cgtorch.domains.film import WIDTH, Film, animated
 from cgtorch.graphs import Skill
 from cgtorch.ground.errors import CgtorchError
 from cgtorch.ground.files import write_bytes, write_json
-from cgtorch.report.failures import as_data, as_text
+from cgtorch.report.failure_words import as_data, as_text
 
 
 def films_of(

@@ -11,7 +11,7 @@ from cgtorch.domains.failures import Explained, Failure
 from cgtorch.domains.film import Film, animated
 from cgtorch.domains.pictures import Pictures
 from cgtorch.report.failure_files import films_of
-from cgtorch.report.failures import about_kind, most_of, table_of, title_of, which_fail
+from cgtorch.report.failure_words import about_kind, most_of, table_of, title_of, which_fail
 from cgtorch.report.html import inline_svg
 
 KINDS, DRAWN = 6, 3  # kinds that are shown, and those of them with a picture

@@ -181,7 +181,8 @@ def test_an_extended_skill_goes_its_own_ways_where_no_new_member_is_sent_to(seed
     branches = torch.randn(1, BRANCH.num_parameters, generator=generator)
     skill = compose("S0", [members[2], members[0]], branches, ACTIONS, 20, corrected=False)
     current = Candidate(skill, (2, 0), branches)
-    near = first_percepts(world_of(scenarios))[:, 0] < 0
+    seen = first_percepts(world_of(scenarios))[:, 0]
+    near = seen < seen.median()
     state = replace(
         state_of(scenarios, members, near),
         current=current,
@@ -215,3 +216,26 @@ def test_only_a_skill_with_known_branches_and_something_to_gain_is_extended() ->
     solved = replace(state, current=alone, keep=torch.ones(10).bool())
     assert extended(setup, solved, rates) is None
     assert extended(replace(setup, team=1), replace(state, current=alone), rates) is None
+
+
+def test_the_skill_that_acts_is_extended_where_new_gates_would_lose_some_of_w(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scenarios = random_scenarios("perimeter", 40, seeded(1))
+    members = tuple(replace(nearly(i / 10), name=f"m{i}") for i in range(2))
+    seen = first_percepts(world_of(scenarios))[:, 0]
+    near = seen < seen.median()
+    outcomes = torch.stack([near, ~near], 1).long() * 2 - 1
+    nothing = torch.zeros(0, BRANCH.num_parameters)
+    known = replace(state_of(scenarios, members, near), shown=near.long(), outcomes=outcomes)
+    state = replace(known, current=Candidate(members[0], (0,), nothing))
+    setup = replace(stage_of(without_models()), remembers=True)
+    losing = Candidate(members[1], (1,), nothing)
+    monkeypatch.setattr(team, "composed", lambda *about: losing)
+    found, _ = team.proposed(setup, state)
+    assert found.chosen == (1, 0)
+    assert torch.equal(found.sent_to(state.percepts) == 0, near)
+    better = Candidate(replace(members[0], name="better"), (0,), nothing)
+    solved = replace(state, outcomes=torch.ones(40, 2).long(), shown=torch.zeros(40).long())
+    monkeypatch.setattr(team, "composed", lambda *about: better)
+    assert 1 not in team.proposed(setup, solved)[0].chosen  # the smaller one, if nothing is lost

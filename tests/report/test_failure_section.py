@@ -12,7 +12,7 @@ from report_pages import HOSTILE, REFERENCE, thinned, words
 from cgtorch.domains.failures import Explained, Failures
 from cgtorch.domains.pictures import Pictures
 from cgtorch.report.failure_section import FIRST, KINDS, LAST, failure_section
-from cgtorch.report.failures import about_kind, which_fail
+from cgtorch.report.failure_words import about_kind, which_fail
 from cgtorch.report.page import report_page
 from cgtorch.runs.stored_run import read_run
 from cgtorch.training.evaluate import evaluate_skill

@@ -158,10 +158,11 @@ def test_the_time_ends_a_round_within_seconds_and_keeps_its_best(tmp_path: Path)
 
 
 def test_a_search_in_which_no_episode_ends_says_so(tmp_path: Path) -> None:
-    run = begun(tmp_path / "run", attempts=9, transitions=3)
-    with pytest.raises(SettingsError, match="within 3 transitions, so there is no return; give"):
-        train_until(Training(run, lambda _: None, quietly), Goal(target=9.0, rounds=1))
+    run, events = begun(tmp_path / "run", attempts=9, transitions=3), list[Event]()
+    with pytest.raises(SettingsError, match="has ended within 3 transitions, so there is no"):
+        train_until(Training(run, events.append, quietly), Goal(target=9.0, rounds=1))
     assert not run.rounds
+    assert len(of(events, GenerationDone)) == 9  # the tenth decides
 
 
 def test_time_that_was_too_short_is_told(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from cgtorch.domains.registry import make_domain
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.fields import named
 from cgtorch.report.failure_files import write_failures
-from cgtorch.report.failures import FIRST, LAST, as_text, table_of
+from cgtorch.report.failure_words import FIRST, LAST, as_text, table_of
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.training import failures
