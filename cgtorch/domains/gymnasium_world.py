@@ -60,6 +60,8 @@ class Success:
 class GymnasiumWorld(ABC):
     """An `Environment` of B starts; states begin with steps, return, and whether over."""
 
+    frugal = True  # as steps are what searches are compared by
+
     def __init__(self, episodes: Episodes, seeds: Tensor, scaling: Scaling) -> None:
         """The world of starts with seeds (B,)."""
         self._episodes, self._seeds, self._scaling = episodes, seeds, scaling

@@ -255,6 +255,13 @@ class Bounded(Protocol):
 
 
 @runtime_checkable
+class Frugal(Protocol):
+    """An environment whose users count its steps, however many lanes run at once."""
+
+    frugal: bool
+
+
+@runtime_checkable
 class Episodic(Protocol):
     """An environment with episodes that end by themselves.
 

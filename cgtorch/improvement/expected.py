@@ -44,6 +44,7 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.expected_state import State, state_from_tensors, tensors_of_state
 from cgtorch.improvement.mean_search import MeanSearch
+from cgtorch.improvement.pace import pace_of
 from cgtorch.improvement.paired_race import Fresh, Holder
 from cgtorch.improvement.setup import Draw, Progress, Setup
 from cgtorch.improvement.trial import try_skill
@@ -73,8 +74,10 @@ def improve_expected(
     def environment(number: int) -> Environment:
         return world(state.need.scenarios, derived_generator(own, 2 * number + 1))
 
-    search = MeanSearch(setup, Fresh(world, setup.max_transitions))
-    state, islands = _recalled(setup, progress)
+    pace = pace_of(world(1, derived_generator(own, 0)))
+    fresh = Fresh(world, setup.max_transitions, pace)
+    search = MeanSearch(setup, fresh)
+    state, islands = _recalled(search, progress)
     limit, first = setup.attempts * setup.budget.generations, time.perf_counter()
     began = first
     how: Any = {"seeds": progress.specialists, "islands": islands}
@@ -111,13 +114,13 @@ def _step(setup: Setup[Any]) -> str:
 
 
 def _recalled(
-    setup: Setup[Any], progress: Progress[Any]
+    search: MeanSearch, progress: Progress[Any]
 ) -> tuple[State, list[EvolutionState] | None]:
     """The first state, or that of a checkpoint with its islands."""
-    given = progress.skill
+    setup, given = search.setup, progress.skill
     checkpoint = setup.journal.recall_checkpoint(_step(setup))
     if checkpoint is None:
-        return State(holder=None if given is None else Holder(given)), None
+        return search.first_state(None if given is None else Holder(given)), None
     about, count = checkpoint.about, setup.evolution.islands
     found = found_from(about, setup.actions, 0)
     setup.watch(EvolutionRecalled(setup.name, setup.name, found))

@@ -16,7 +16,6 @@ from cgtorch.improvement.tuning import Tuning
 
 RACING = 4  # the search plays so many times as many episodes as races
 SHARE = 6  # tuning executes so many times as many actions as generations
-AHEAD = 5  # what wins races is tuned so many times as much as its rivals
 
 
 @dataclass(frozen=True)
@@ -40,6 +39,13 @@ class Spent:
     rivals: int = 0
     episodes: int = 0
     raced: int = 0
+
+    def after_updates(self, holds: bool, episodes: int, executed: int) -> "Spent":
+        """What is spent after updates, of the holder's tuning (with others), or of rivals."""
+        spent = replace(self, episodes=self.episodes + episodes)
+        if holds:
+            return replace(spent, tuned=self.tuned + executed)
+        return replace(spent, rivals=self.rivals + executed)
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,12 @@ class State:
     need: Need = field(default_factory=Need)
     spent: Spent = field(default_factory=Spent)
 
+    def with_tuned(self, old: Tuning, new: Tuning) -> "State":
+        """The state with a tuning in place of another one."""
+        if old is self.tuning:
+            return replace(self, tuning=new)
+        return replace(self, rivals=tuple(new if each is old else each for each in self.rivals))
+
     def held_by(self, holder: Holder) -> "State":
         """The state with the winner of a race as the holder."""
         if self.holder is None or holder.skill is self.holder.skill:
@@ -81,8 +93,7 @@ class State:
         """Whether as much was tuned as generations ask for."""
         return self.spent.tuned + self.spent.rivals >= SHARE * self.spent.searched
 
-    @property
-    def behind(self) -> bool:
+    def behind(self, ahead: int) -> bool:
         """Whether it is the turn of `tuning` to be updated, and not that of its rivals.
 
         A rival with a toll has as many turns, as it wins late where it does.
@@ -90,7 +101,7 @@ class State:
         if self.tuning is None or not self.rivals:
             return self.tuning is not None
         preferred = self.tuning.winning and not any(each.toll for each in self.rivals)
-        weight = AHEAD if preferred else 1
+        weight = ahead if preferred else 1
         return self.spent.tuned < weight * self.spent.rivals
 
 

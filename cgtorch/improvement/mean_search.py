@@ -21,7 +21,8 @@ from cgtorch.improvement.expected_state import State
 from cgtorch.improvement.paired_race import Fresh, Holder, paired_race
 from cgtorch.improvement.rivals import compared, first_rivals, halved, next_rival, simplest
 from cgtorch.improvement.setup import Setup
-from cgtorch.improvement.spread import FEWEST
+from cgtorch.improvement.split import split
+from cgtorch.improvement.spread import FEWEST, Need
 from cgtorch.improvement.tuning import SAMPLES, Tuning, begun, update
 
 OFTEN = 5  # generations after which the mean of a holder that stays is known better
@@ -37,6 +38,10 @@ class MeanSearch:
 
     setup: Setup[Any]
     fresh: Fresh
+
+    def first_state(self, holder: Holder | None) -> State:
+        """The state before the first generation, with the skill of earlier stages."""
+        return State(holder=holder, need=Need(FEWEST * self.fresh.pace.at_once))
 
     def skill_of(self, graphs: Graphs) -> Skill:
         """The skill of a single graph."""
@@ -58,7 +63,8 @@ class MeanSearch:
             episodes=spent.episodes + generation.scores.numel(),
         )
         most = spent.episodes // (LARGEST * len(generation.scores))
-        state = replace(state, need=state.need.after(generation.scores, most), spent=spent)
+        need = state.need.after(generation.scores, most, FEWEST * self.fresh.pace.at_once)
+        state = replace(state, need=need, spent=spent)
         state = self._champion_raced(state, generation, generator)
         self._check_ends(state, generation)
         state = self._met(state, generation.number, generator)
@@ -68,12 +74,10 @@ class MeanSearch:
         while not state.enough and not self._promising(state):
             if state.tuning is None:
                 state = replace(state, tuning=self._tuning(state))
-            if state.behind:
-                state = self._holder_tuned(state, generator)
-            elif state.rivals:
-                state = self._rival_tuned(state, generator)
-            else:
+            turn = self._turn(state)
+            if not turn:
                 break
+            state = self._tuned(state, turn, generator)
             state = self._met(state, 1, generator)
             yield state
 
@@ -161,17 +165,32 @@ class MeanSearch:
             return None
         return begun(holder.skill.graph, actions, state.need.scenarios // FEWEST)
 
-    def _updated(
-        self, state: State, tuning: Tuning, generator: Generator
-    ) -> tuple[State, Tuning, int, int]:
-        """A tuning after an update, and the episodes and actions that this took."""
-        before = self.fresh.episodes, self.fresh.executed
-        most = state.spent.episodes // (LARGEST * SAMPLES)
-        tuning, worth = update(tuning, self.setup.actions, self.fresh, generator, most)
-        episodes = self.fresh.episodes - before[0]
-        spent = replace(state.spent, episodes=state.spent.episodes + episodes)
-        state = replace(state, spent=spent, toll=state.toll or worth)
-        return state, tuning, episodes, self.fresh.executed - before[1]
+    def _turn(self, state: State) -> tuple[Tuning, ...]:
+        """What is updated next: the holder's tuning, or a rival, or all rivals together."""
+        if state.behind(self.fresh.pace.ahead) or not state.rivals:
+            return () if state.tuning is None else (state.tuning,)
+        if self.fresh.pace.together:
+            return state.rivals
+        return (state.rivals[next_rival(state.rivals)],)
+
+    def _tuned(self, state: State, turn: tuple[Tuning, ...], generator: Generator) -> State:
+        """The state after an update of some tunings, and races of their means if they are due."""
+        episodes, executed = self.fresh.episodes, self.fresh.executed
+        most = state.spent.episodes // (LARGEST * SAMPLES * len(turn))
+        found = update(turn, self.setup.actions, self.fresh, generator, most)
+        holds = state.tuning is turn[0]
+        for old, (new, worth) in zip(turn, found, strict=True):
+            state = replace(state.with_tuned(old, new), toll=state.toll or worth)
+        episodes, executed = self.fresh.episodes - episodes, self.fresh.executed - executed
+        state = replace(state, spent=state.spent.after_updates(holds, episodes, executed))
+        if len(turn) > holds:
+            state = replace(state, rivals=halved(state.rivals, self.fresh.pace.rungs))
+        for tuning, _ in found:
+            if tuning is state.tuning:
+                state = self._holder_due(state, tuning, episodes, generator)
+            elif any(tuning is each for each in state.rivals):
+                state = self._rival_due(state, tuning, generator)
+        return state
 
     def _mean_raced(
         self, state: State, tuning: Tuning, generator: Generator
@@ -182,19 +201,19 @@ class MeanSearch:
         state, won = self._raced(state, mean, generator)
         return state, tuning.raced(won), won
 
-    def _holder_tuned(self, state: State, generator: Generator) -> State:
+    def _holder_due(
+        self, state: State, tuning: Tuning, episodes: int, generator: Generator
+    ) -> State:
         """The state after an update of the holder's tuning, and a race of its mean if it is due."""
-        assert state.tuning is not None  # noqa: S101  it is what is behind
-        state, tuning, episodes, executed = self._updated(state, state.tuning, generator)
-        state = replace(state, spent=replace(state.spent, tuned=state.spent.tuned + executed))
         if tuning.distribution.updates == 1:
             state = replace(state, rivals=self._with_other_toll(state, tuning))
         if not tuning.due:
-            return replace(state, tuning=tuning)
+            return state
         state, tuning, _ = self._mean_raced(state, tuning, generator)
         if not tuning.stalled:
             return replace(state, tuning=tuning)
         state = replace(state, rivals=self._with_other_toll(state, tuning))
+        state = replace(state, rivals=self._with_split(state, tuning))
         more = tuning.more() if LARGEST * episodes <= state.spent.episodes else None
         return replace(state, tuning=more, settled=more is None)
 
@@ -207,16 +226,19 @@ class MeanSearch:
         other = begun(tuning.graph, actions, tuning.scenarios, toll)
         return rivals if other is None else (*rivals, other)
 
-    def _rival_tuned(self, state: State, generator: Generator) -> State:
+    def _with_split(self, state: State, tuning: Tuning) -> tuple[Tuning, ...]:
+        """The rivals, with what is being tuned split in two, unless there is such a one."""
+        graph, rivals = split(tuning.mean(self.setup.actions), self.setup.actions), state.rivals
+        if graph is None:
+            return rivals
+        other = begun(graph, self.setup.actions, tuning.scenarios, tuning.toll)
+        if other is None or any(each.kind == other.kind for each in rivals):
+            return rivals
+        return (*rivals, other)
+
+    def _rival_due(self, state: State, rival: Tuning, generator: Generator) -> State:
         """The state after an update of a rival, and a race of its mean if that is due."""
-        place = next_rival(state.rivals)
-        state, rival, _, executed = self._updated(state, state.rivals[place], generator)
-        state = replace(state, spent=replace(state.spent, rivals=state.spent.rivals + executed))
-        every = (*state.rivals[:place], rival, *state.rivals[place + 1 :])
-        state = replace(state, rivals=halved(every))
-        if not rival.due or all(each is not rival for each in state.rivals):
-            return state
-        if compared(state.rivals) and not rival.toll:
+        if not rival.due or (compared(state.rivals) and not rival.toll):
             return state
         others = tuple(each for each in state.rivals if each is not rival)
         state, rival, won = self._mean_raced(state, rival, generator)

@@ -12,11 +12,12 @@ from math import inf, sqrt
 import torch
 from torch import Generator, Tensor
 
-from cgtorch.graphs import ActionSet, Graphs, Skill
+from cgtorch.graphs import ActionSet, Graphs, Skill, concatenate, widened
 from cgtorch.ground.environment import Environment
+from cgtorch.improvement.pace import BY_STEP, Pace
 from cgtorch.simulation import shared_rollout
 
-FIRST = 4  # pairs of the first look, which only a clear loss decides
+FIRST = 4  # pairs of the first look, times those at once, which only a clear loss decides
 SURE, AT_LAST = 3.0, 1.64  # standard errors by which it has to be better, and after the last pair
 MANY = 512  # pairs from which that is enough after the last
 HOPELESS = 1.0  # standard errors below the holder at which it gives up
@@ -67,12 +68,14 @@ class Fresh:
     Attributes:
         world: Makes the world of so many scenarios, drawn from a generator.
         max_transitions: Of every skill.
+        pace: What a lane costs.
         episodes: Episodes that were played.
         executed: Actions that were executed in them.
     """
 
     world: Callable[[int, Generator], Environment]
     max_transitions: int
+    pace: Pace = BY_STEP
     episodes: int = 0
     executed: int = 0
 
@@ -93,9 +96,17 @@ class Fresh:
         parts = []
         for begin in range(0, count, MOST_AT_ONCE):
             world = self.world(min(MOST_AT_ONCE, count - begin), generator)
-            rows = [self.played(each.graph, each.actions, world)[0] for each in skills]
-            parts.append(torch.cat(rows))
+            parts.append(self._values(skills, world))
         return torch.cat(parts, 1)
+
+    def _values(self, skills: Sequence[Skill], world: Environment) -> Tensor:
+        """(K, B) the values of K skills, in a single rollout if they have the same actions."""
+        actions = skills[0].actions
+        if any(each.actions is not actions for each in skills):
+            return torch.cat([self.played(s.graph, s.actions, world)[0] for s in skills])
+        nodes = max(each.graph.capacity for each in skills)
+        graphs = concatenate([widened(each.graph, nodes) for each in skills])
+        return self.played(graphs, actions, world)[0]
 
 
 def paired_race(
@@ -107,8 +118,8 @@ def paired_race(
     that remains open. Its values do not count for its mean, as it stays more often where it was
     lucky. Of few pairs, the gain has to be larger (`student`).
     """
-    own, others, size = torch.zeros(0), torch.zeros(0), FIRST
-    longest = max(longest, 2 * FIRST)
+    own, others, size = torch.zeros(0), torch.zeros(0), FIRST * fresh.pace.at_once
+    first, longest = size, max(longest, 2 * size)
     while True:
         old, new = fresh.of_skills([holder.skill, challenger], size, generator)
         own, others = torch.cat([own, old]), torch.cat([others, new])
@@ -120,9 +131,9 @@ def paired_race(
         mean, error, last = float(gain.mean()), _error(gain), len(gain) >= longest
         enough = AT_LAST if last and len(gain) >= MANY else SURE
         enough = student(enough, len(gain) - 1)
-        if len(gain) > FIRST and mean > enough * error:
+        if len(gain) > first and mean > enough * error:
             return Holder(challenger)
-        if mean < -enough * error or last or (len(gain) > FIRST and mean < -HOPELESS * error):
+        if mean < -enough * error or last or (len(gain) > first and mean < -HOPELESS * error):
             return holder
         size = min(len(gain), longest - len(gain))
 

@@ -1,7 +1,7 @@
 """Rivals of the best skill: other structures, whose parameters are tuned side by side.
 
 The best individuals of a generation become rivals, those of different kinds first. All have equally
-many updates. After each of `RUNGS` the better half goes on (successive halving: Jamieson and
+many updates. After each rung the better half goes on (successive halving: Jamieson and
 Talwalkar, "Non-stochastic best arm identification and hyperparameter optimization", AISTATS 2016),
 until one is left, which goes on for as long as its mean does not lose races in a row.
 """
@@ -16,7 +16,6 @@ from cgtorch.evolution.population import slim
 from cgtorch.graphs import ActionSet, compacted
 from cgtorch.improvement.tuning import Tuning, begun, calmed
 
-RUNGS = (5, 15)  # updates after which the worse half of the rivals ends
 SEVERAL = 8  # individuals considered for each rival
 
 
@@ -54,11 +53,11 @@ def first_rivals(
     return tuple(found[:count])
 
 
-def halved(rivals: Sequence[Tuning]) -> tuple[Tuning, ...]:
-    """The rivals that go on once all have equally many updates; those with a toll do anyway."""
+def halved(rivals: Sequence[Tuning], rungs: Sequence[int]) -> tuple[Tuning, ...]:
+    """The rivals that go on once all have the updates of a rung; those with a toll do anyway."""
     usual = [each for each in rivals if not each.toll]
     updates = {each.distribution.updates for each in usual}
-    if not compared(rivals) or len(updates) > 1 or not updates & set(RUNGS):
+    if not compared(rivals) or len(updates) > 1 or not updates & set(rungs):
         return tuple(rivals)
     best = sorted(usual, key=lambda each: -each.level)[: -(-len(usual) // 2)]
     return tuple(each for each in rivals if each.toll or any(each is one for one in best))

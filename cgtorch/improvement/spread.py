@@ -19,15 +19,15 @@ class Need:
     scenarios: int = FEWEST
     reliability: float = (FEW + MANY) / 2
 
-    def after(self, scores: Tensor, most: int = MOST) -> "Need":
-        """The need after a generation with scores (P, B); it grows to `most` at most."""
+    def after(self, scores: Tensor, most: int = MOST, fewest: int = FEWEST) -> "Need":
+        """The need after a generation with scores (P, B), from `fewest` to `most` scenarios."""
         now = max(-1.0, reliability(scores))
         smooth = MEMORY * self.reliability + (1 - MEMORY) * now
         count = self.scenarios
         if smooth < FEW:
             count = max(count, min(MOST, most, -(-count * 3 // 2)))
         elif smooth > MANY:
-            count = min(count, max(FEWEST, count * 4 // 5))
+            count = min(count, max(fewest, count * 4 // 5))
         return Need(count, smooth)
 
 

@@ -1,6 +1,7 @@
 """Tuning the parameters of a graph by CMA-ES, for as long as its mean wins races."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -15,7 +16,7 @@ from cgtorch.evolution.cma import (
 )
 from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.lineages import tunable
-from cgtorch.graphs import ActionSet, Graphs
+from cgtorch.graphs import ActionSet, Graphs, concatenate, widened
 from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.spread import MANY, Need
 
@@ -28,6 +29,9 @@ CONVERGED = 0.02  # step size below which samples that can be told apart need no
 PATIENCE = 6  # races lost in a row after which there are twice as many scenarios
 DOUBTFUL = 4  # races lost in a row after which a tuning is no longer preferred to others
 PROGRESS = 0.1  # relative improvement of samples that counts
+WIDER, WIDEST = 1.4, 1e4  # by which steps grow where samples are alike, and their limit
+SEVERAL = 8  # scenarios on which a quarter of samples is not alike by luck
+RELATIVE = 0.5  # first steps in units of parameters that are larger than usual
 RECENT = 4  # updates by which tunings are compared
 FIRM, EXACT = 0.5, 0.99  # shares of the variance of values that lengths of episodes explain
 
@@ -79,7 +83,7 @@ class Tuning:
     @property
     def kind(self) -> tuple[int, ...]:
         """The actions of the nodes, sorted."""
-        return tuple(sorted(self.graph.action[0].tolist()))
+        return tuple(sorted(self.graph.action[self.graph.used].tolist()))
 
     @property
     def level(self) -> float:
@@ -131,8 +135,9 @@ def begun(graph: Graphs, actions: ActionSet, scenarios: int, toll: float = 0.0) 
     where = tunable(graph, actions)
     if not where.any():
         return None
-    steps = torch.tensor([action.first_step for action in actions.actions])
-    deviation = steps[graph.action[0]][:, None].expand(where.shape)[where]
+    steps = torch.tensor([action.first_step for action in actions.actions])[graph.action[0]]
+    own = graph.parameters[0].square().sum(1) / where.sum(1).clamp_min(1)
+    deviation = torch.maximum(steps, RELATIVE * own.sqrt())[:, None].expand(where.shape)[where]
     deviation = deviation / math.sqrt(len(deviation))
     mean = graph.parameters[0][where]
     return Tuning(graph, initial_distribution(mean, deviation, MOST_FULL), scenarios, toll)
@@ -146,31 +151,65 @@ def calmed(graph: Graphs, actions: ActionSet) -> Graphs:
 
 
 def update(
-    tuning: Tuning, actions: ActionSet, fresh: Fresh, generator: Generator, most: int = MOST
-) -> tuple[Tuning, float]:
-    """The tuning after one update by samples, which meet the same fresh scenarios.
+    tunings: Sequence[Tuning],
+    actions: ActionSet,
+    fresh: Fresh,
+    generator: Generator,
+    most: int = MOST,
+) -> list[tuple[Tuning, float]]:
+    """The tunings after one update each, by samples that all meet the same fresh scenarios.
 
-    If luck hides what differs between them, the next update has more scenarios, up to `most`.
-    Returned is also what a transition was worth (`worth_of_transitions`).
+    If luck hides what differs between samples, the next update has more scenarios, up to `most`.
+    With each tuning is returned what a transition was worth (`worth_of_transitions`).
     """
-    where = tunable(tuning.graph, actions)
+    drawn = [_samples(each, generator) for each in tunings]
+    graphs = [
+        with_parameters(each.graph, tunable(each.graph, actions), rows)
+        for each, rows in zip(tunings, drawn, strict=True)
+    ]
+    nodes = max(each.capacity for each in graphs)
+    every = concatenate([widened(each, nodes) for each in graphs])
+    scenarios = max(each.scenarios for each in tunings)
+    played = fresh.played(every, actions, fresh.world(scenarios, generator))
+    values, lengths = (part.split([len(rows) for rows in drawn]) for part in played)
+    return [_after(*about, most) for about in zip(tunings, drawn, values, lengths, strict=True)]
+
+
+def _samples(tuning: Tuning, generator: Generator) -> Tensor:
+    """(λ, n) parameters."""
     count = max(SAMPLES, usual_count(len(tuning.distribution.mean)))
-    drawn = sampled(tuning.distribution, count, generator)
-    graphs = with_parameters(tuning.graph, where, drawn)
-    values, lengths = fresh.played(graphs, actions, fresh.world(tuning.scenarios, generator))
+    return sampled(tuning.distribution, count, generator)
+
+
+def _after(
+    tuning: Tuning, drawn: Tensor, values: Tensor, lengths: Tensor, most: int
+) -> tuple[Tuning, float]:
+    """A tuning after samples (λ, n) with values (λ, B) of episodes of lengths (λ, B)."""
     values = torch.nan_to_num(values, nan=WORST).clamp_min(WORST).double()
     worth = (values - tuning.toll * lengths).mean(1)
     distribution = updated(tuning.distribution, drawn, worth)
-    better = values.mean(1).sort(descending=True).values[: max(1, count // 2)]
+    step = distribution.step * (WIDER if flat(values) else 1.0)
+    better = values.mean(1).sort(descending=True).values[: max(1, len(values) // 2)]
     need = Need(tuning.scenarios, tuning.reliability).after(values, most)
     after = replace(
         tuning,
-        distribution=distribution,
+        distribution=replace(distribution, step=min(WIDEST, step)),
         scenarios=max(tuning.scenarios, need.scenarios),
         reliability=need.reliability,
         recent=(*tuning.recent, float(better.mean()))[-RECENT:],
     )
     return after, worth_of_transitions(values, lengths)
+
+
+def flat(values: Tensor) -> bool:
+    """Whether the best quarter of samples have the same values (P, B), so that steps are too small.
+
+    On few scenarios all samples have to, as luck makes some alike. Hansen's program has such a
+    rule, without scenarios (`cmaes.c`, https://github.com/CMA-ES/c-cmaes).
+    """
+    best = values[values.mean(1).argmax()]
+    alike = int((values == best).all(1).sum())
+    return alike >= (len(values) // 4 if values.shape[1] >= SEVERAL else len(values))
 
 
 def worth_of_transitions(values: Tensor, lengths: Tensor) -> float:

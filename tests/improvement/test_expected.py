@@ -15,7 +15,7 @@ from support import same, seeded
 from watched import of_kind
 
 from cgtorch.evolution import REWARDS, chance_of_success
-from cgtorch.graphs import ActionSet, Skill
+from cgtorch.graphs import ActionSet, BranchingNN, Skill
 from cgtorch.ground.asked import Purse
 from cgtorch.improvement.events import (
     Event,
@@ -26,6 +26,7 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.expected import improve_expected
 from cgtorch.improvement.mean_search import KNOWN
+from cgtorch.improvement.pace import BY_ROLLOUT
 from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.improvement.spread import FEWEST
 from cgtorch.improvement.trial import try_skill
@@ -36,12 +37,18 @@ NOTHING = tickets(0, seeded(0))
 BEFORE: Progress[Tickets] = Progress(None, NOTHING, NOTHING, None)
 
 
+class Compared(PaidLottery):
+    """One whose steps count."""
+
+    frugal = True
+
+
 def setup_of(watch: Callable[[Event], Any], paid: bool = True, **others: Any) -> Setup[Tickets]:
     """A small search in the lottery, up to 30 generations."""
     evolution = SMALL if paid else replace(SMALL, fitness=chance_of_success)
-    given = {"budget": Budget(30), "attempts": 1, "generator": seeded(0), **others}
+    given = {"budget": Budget(30), "attempts": 1, "generator": seeded(0), "actions": ACTIONS}
+    given |= others
     return Setup(
-        actions=ACTIONS,
         world_of=PaidLottery if paid else Lottery,
         imagine=lambda *_: Lottery(NOTHING),
         evolution=evolution,
@@ -91,9 +98,9 @@ def test_the_best_in_the_mean_is_found_and_its_mean_is_told(paid: bool) -> None:
 def test_every_generation_meets_other_scenarios_and_chance_asks_for_more() -> None:
     worlds: list[Tickets] = []
 
-    def world(scenarios: Tickets) -> PaidLottery:
+    def world(scenarios: Tickets) -> Compared:
         worlds.append(scenarios)
-        return PaidLottery(scenarios)
+        return Compared(scenarios)
 
     told: list[Event] = []
     searched(replace(setup_of(told.append), world_of=world))
@@ -102,6 +109,10 @@ def test_every_generation_meets_other_scenarios_and_chance_asks_for_more() -> No
     sizes = [each.generation.scores.shape[1] for each in of_kind(told, GenerationDone)]
     assert sizes[0] == FEWEST
     assert max(sizes) > FEWEST
+    told.clear()
+    searched(setup_of(told.append, budget=Budget(1)))
+    (first,) = of_kind(told, GenerationDone)
+    assert first.generation.scores.shape[1] == FEWEST * BY_ROLLOUT.at_once
 
 
 def test_it_ends_once_the_target_is_surely_reached() -> None:
@@ -179,6 +190,8 @@ def test_it_is_the_same_after_an_interruption(
     """With all that was held, beaten and tuned until then."""
     before, whole = replace(BEFORE, skill=skill), list[Event]()
     few: dict[str, Any] = {"budget": Budget(number + 5)}
+    if skill is None:  # what stalls is split
+        few["actions"] = ACTIONS.extended(["Branch"], [BranchingNN(2)])
     wanted = searched(setup_of(whole.append, **few), before)
     met, again = 0, list[Event]()
 

@@ -9,7 +9,6 @@ from support import same
 
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.expected_state import (
-    AHEAD,
     RACING,
     SHARE,
     Spent,
@@ -17,9 +16,12 @@ from cgtorch.improvement.expected_state import (
     state_from_tensors,
     tensors_of_state,
 )
+from cgtorch.improvement.pace import BY_STEP
 from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.spread import Need
 from cgtorch.improvement.tuning import DOUBTFUL, Tuning, begun
+
+AHEAD = BY_STEP.ahead
 
 
 def tuning(toll: float = 0.0, lost: int = 0) -> Tuning:
@@ -31,7 +33,7 @@ def tuning(toll: float = 0.0, lost: int = 0) -> Tuning:
 def behind(tuned: int, lost: int = 0, toll: float = 0.0) -> bool:
     """Whether it is the turn of what has spent so much, where its rival has spent 100."""
     spent = Spent(tuned=tuned, rivals=100)
-    return State(tuning=tuning(lost=lost), rivals=(tuning(toll),), spent=spent).behind
+    return State(tuning=tuning(lost=lost), rivals=(tuning(toll),), spent=spent).behind(AHEAD)
 
 
 def test_what_wins_races_has_more_turns_than_its_rivals() -> None:
@@ -45,9 +47,24 @@ def test_what_loses_and_what_has_a_rival_with_a_toll_has_as_many(about: dict[str
     assert not behind(100, **about)  # type: ignore[arg-type]
 
 
+def test_an_update_replaces_what_was_tuned_in_its_place() -> None:
+    own, first, second, new = (tuning() for _ in range(4))
+    state = State(tuning=own, rivals=(first, second))
+    after = state.with_tuned(own, new)
+    assert after.tuning is new
+    assert after.rivals == (first, second)
+    assert state.with_tuned(first, new) == replace(state, rivals=(new, second))
+
+
+def test_updates_are_counted_where_they_were_made() -> None:
+    spent = Spent(tuned=10, rivals=20, episodes=30)
+    assert spent.after_updates(True, 3, 5) == Spent(tuned=15, rivals=20, episodes=33)
+    assert spent.after_updates(False, 3, 5) == Spent(tuned=10, rivals=25, episodes=33)
+
+
 def test_who_is_alone_has_the_turn() -> None:
-    assert State(tuning=tuning(), spent=Spent(tuned=10**6)).behind
-    assert not State(rivals=(tuning(),)).behind
+    assert State(tuning=tuning(), spent=Spent(tuned=10**6)).behind(AHEAD)
+    assert not State(rivals=(tuning(),)).behind(AHEAD)
 
 
 def test_enough_is_tuned_by_what_generations_have_executed() -> None:

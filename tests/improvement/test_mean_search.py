@@ -10,7 +10,7 @@ from support import same, seeded
 from torch import Generator
 
 from cgtorch.evolution import REWARDS, Generation, evolve
-from cgtorch.graphs import Skill
+from cgtorch.graphs import ActionSet, BranchingNN, Skill
 from cgtorch.improvement.expected_state import SHARE, Spent, State
 from cgtorch.improvement.mean_search import (
     CERTAIN,
@@ -20,26 +20,30 @@ from cgtorch.improvement.mean_search import (
     TRIED,
     MeanSearch,
 )
+from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP, Pace
 from cgtorch.improvement.paired_race import Fresh, Holder
 from cgtorch.improvement.setup import Budget, Setup
+from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
 from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES, Tuning, begun
 
 SMALL = replace(REWARDS, population=24, initial_nodes=(1, 2), capacity=6, lineages=3)
 
 
-def search_of(satisfied: float = 9.0, **evolution: Any) -> MeanSearch:
+def search_of(
+    satisfied: float = 9.0, pace: Pace = BY_STEP, actions: ActionSet = ACTIONS, **evolution: Any
+) -> MeanSearch:
     """A search in the lottery whose best skill is worth 1.8."""
 
     def world(count: int, generator: Generator) -> PaidLottery:
         return PaidLottery(tickets(count, generator))
 
     setup: Setup[Any] = Setup(
-        actions=ACTIONS, world_of=PaidLottery, imagine=lambda *_: world(0, seeded(0)),
+        actions=actions, world_of=PaidLottery, imagine=lambda *_: world(0, seeded(0)),
         evolution=replace(SMALL, **evolution), max_transitions=4,
         budget=Budget(30, satisfied=satisfied),
     )  # fmt: skip
-    return MeanSearch(setup, Fresh(world, 4))
+    return MeanSearch(setup, Fresh(world, 4, pace))
 
 
 def generation_of(search: MeanSearch, seed: int = 0) -> Generation:
@@ -74,7 +78,7 @@ def test_a_generation_is_counted_and_its_champion_is_the_first_holder() -> None:
         assert not before.enough
         spent, updates = state.spent, state.spent.episodes - before.spent.episodes
         assert updates % SAMPLES == 0 < updates
-        was_behind = before.behind
+        was_behind = before.behind(BY_STEP.ahead)
         assert (spent.tuned > before.spent.tuned) is was_behind
         assert (spent.rivals > before.spent.rivals) is not was_behind
         before = state
@@ -170,9 +174,9 @@ def test_the_target_is_reached_by_a_mean_that_is_known_well() -> None:
         assert other.fresh.episodes == 0
 
 
-def after_one(state: State, satisfied: float = 9.0) -> State:
+def after_one(state: State, satisfied: float = 9.0, actions: ActionSet = ACTIONS) -> State:
     """The state after one update following a generation whose champion wins nothing."""
-    search = search_of(satisfied)
+    search = search_of(satisfied, actions=actions)
     generation = generation_of(search)
     champion = replace(generation.champion, graphs=idle().graph)
     states = search.after(state, replace(generation, champion=champion, number=1), seeded(1))
@@ -248,3 +252,30 @@ def test_the_same_graph_is_tuned_with_another_toll_if_one_is_known(toll: float) 
     already = tuned(staking(0.1), 0.75)
     more = after_one(State(HELD, one, (already,), toll=0.5, spent=PLAYED))
     assert [each.toll for each in more.rivals] == [0.75]
+
+
+def test_where_lanes_are_cheap_rivals_are_tuned_together_on_many_scenarios() -> None:
+    search = search_of(pace=BY_ROLLOUT)
+    first = search.first_state(None)
+    assert first.need.scenarios == FEWEST * BY_ROLLOUT.at_once
+    first, *later = search.after(first, generation_of(search), seeded(1))
+    assert first.need.scenarios >= FEWEST * BY_ROLLOUT.at_once
+    assert len(first.rivals) == 2
+    assert all(each.scenarios >= BY_ROLLOUT.at_once for each in first.rivals)
+    for state in later:
+        assert len({each.distribution.updates for each in state.rivals}) == 1
+    assert 0 < later[-1].rivals[0].distribution.updates < BY_ROLLOUT.rungs[0]
+
+
+def test_what_stalls_is_split_once() -> None:
+    actions = ACTIONS.extended(["Branch"], [BranchingNN(2)])
+    worse = tuned(staking(-1.0), updates=EVERY - 1, lost=PATIENCE - 1, mark=1.0)
+    rival = tuned(staking(0.0), updates=1)
+    state = after_one(State(HELD, worse, (rival,), spent=PLAYED), actions=actions)
+    assert state.tuning is not None
+    wanted = split(state.tuning.mean(actions), actions)
+    assert wanted is not None
+    assert len(state.rivals) == 2
+    assert same(state.rivals[1].graph, wanted)
+    again = after_one(State(HELD, worse, state.rivals[1:], spent=PLAYED), actions=actions)
+    assert len(again.rivals) == 1

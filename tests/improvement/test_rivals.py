@@ -13,7 +13,6 @@ from cgtorch.evolution.population import initial_strategy, random_population
 from cgtorch.evolution.racing import contents
 from cgtorch.graphs import ActionSet, Graphs, LinearNN, RecurrentNN, concatenate
 from cgtorch.improvement.rivals import (
-    RUNGS,
     compared,
     first_rivals,
     halved,
@@ -21,6 +20,8 @@ from cgtorch.improvement.rivals import (
     simplest,
 )
 from cgtorch.improvement.tuning import Tuning, begun
+
+RUNGS = 5, 15
 
 
 def tuning(level: float, updates: int, toll: float = 0.0) -> Tuning:
@@ -69,13 +70,14 @@ def test_the_best_of_each_kind_come_first_in_the_order_of_their_fitness() -> Non
 def test_the_worse_half_ends_at_each_rung_and_those_with_a_toll_go_on() -> None:
     levels = [1.0, 4.0, 2.0, 3.0]
     rivals = [*(tuning(level, RUNGS[0]) for level in levels), tuning(0.0, 2, toll=1.0)]
-    assert [each.level for each in halved(rivals)] == [4, 3, 0]
+    assert [each.level for each in halved(rivals, RUNGS)] == [4, 3, 0]
     later = [tuning(1.0, RUNGS[0] + 1), tuning(2.0, RUNGS[0] + 1)]
-    assert len(halved(later)) == 2
+    assert len(halved(later, RUNGS)) == 2
     unequal = [tuning(1.0, RUNGS[0]), tuning(2.0, RUNGS[0] - 1)]
-    assert len(halved(unequal)) == 2
-    assert [each.level for each in halved([tuning(1.0, RUNGS[1]), tuning(2.0, RUNGS[1])])] == [2]
-    assert len(halved([tuning(1.0, RUNGS[1])])) == 1
+    assert len(halved(unequal, RUNGS)) == 2
+    last = [tuning(1.0, RUNGS[1]), tuning(2.0, RUNGS[1])]
+    assert [each.level for each in halved(last, RUNGS)] == [2]
+    assert len(halved(last[:1], RUNGS)) == 1
 
 
 def test_the_one_with_the_fewest_updates_is_next_and_several_are_compared() -> None:

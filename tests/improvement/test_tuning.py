@@ -17,10 +17,15 @@ from cgtorch.improvement.tuning import (
     FEW,
     MOST,
     PATIENCE,
+    RELATIVE,
     SAMPLES,
+    SEVERAL,
+    WIDER,
+    WIDEST,
     Tuning,
     begun,
     calmed,
+    flat,
     update,
     with_parameters,
     worth_of_transitions,
@@ -34,11 +39,18 @@ def fresh(paid: bool = False) -> Fresh:
     return Fresh(world, max_transitions=3)
 
 
+def updated_once(
+    tuning: Tuning, place: Fresh | None = None, generator: Generator | None = None
+) -> tuple[Tuning, float]:
+    [found] = update([tuning], ACTIONS, place or fresh(), generator or seeded(0))
+    return found
+
+
 def tuned(times: float, scenarios: int, updates: int) -> Tuning:
     tuning, place, generator = begun(staking(times).graph, ACTIONS, scenarios), fresh(), seeded(0)
     assert tuning is not None
     for _ in range(updates):
-        tuning, _ = update(tuning, ACTIONS, place, generator)
+        tuning, _ = updated_once(tuning, place, generator)
     return tuning
 
 
@@ -54,6 +66,14 @@ def test_it_begins_at_the_graph_with_small_steps_and_not_without_parameters() ->
     assert begun(idle().graph, ACTIONS, 7) is None
 
 
+def test_first_steps_are_larger_where_parameters_are() -> None:
+    tuning = begun(staking(300.0, 400.0).graph, ACTIONS, 1)
+    assert tuning is not None
+    mean_square = (300**2 + 400**2) / 2
+    wanted = RELATIVE**2 * mean_square / 2  # as there are two parameters
+    assert tuning.distribution.covariance.diagonal().tolist() == pytest.approx([wanted, wanted])
+
+
 def test_the_mean_comes_near_the_best_in_spite_of_luck() -> None:
     times, more = tuned(0.0, 200, 60).mean(ACTIONS).parameters.flatten().tolist()
     assert times == pytest.approx(1, abs=0.35)
@@ -64,7 +84,7 @@ def test_an_update_plays_its_scenarios_and_leaves_the_graph() -> None:
     place = fresh()
     first = begun(staking(0.5).graph, ACTIONS, 11)
     assert first is not None
-    second, _ = update(first, ACTIONS, place, seeded(0))
+    second, _ = updated_once(first, place)
     assert place.episodes == SAMPLES * 11
     assert second.graph is first.graph
     assert second.distribution.updates == 1
@@ -72,17 +92,70 @@ def test_an_update_plays_its_scenarios_and_leaves_the_graph() -> None:
     assert 0.5 < second.level <= 1
 
 
+def test_tunings_are_updated_together_on_the_scenarios_of_the_one_that_needs_most() -> None:
+    place = fresh()
+    few, many = begun(staking(0.5).graph, ACTIONS, 3), begun(staking(-0.5).graph, ACTIONS, 40)
+    assert few is not None
+    assert many is not None
+    (low, _), (high, _) = update([few, many], ACTIONS, place, seeded(0))
+    assert place.episodes == 2 * SAMPLES * 40
+    assert (low.graph is few.graph, high.graph is many.graph) == (True, True)
+    assert low.level > high.level
+    alone, _ = updated_once(few)  # by the same samples, on other scenarios
+    step = alone.distribution.mean - few.distribution.mean
+    assert torch.dot(low.distribution.mean - few.distribution.mean, step) > 0
+
+
+class Indifferent(Fresh):
+    """Only samples beyond a distance differ in what they get."""
+
+    def played(
+        self, graphs: Graphs, actions: ActionSet, world: Environment
+    ) -> tuple[Tensor, Tensor]:
+        values, lengths = super().played(graphs, actions, world)
+        far = graphs.parameters[:, 0].abs().amax(1) > 1000
+        return torch.where(far[:, None], values, torch.zeros_like(values)), lengths
+
+
+def test_steps_grow_on_a_plateau_up_to_a_limit() -> None:
+    place = Indifferent(fresh().world, max_transitions=3)
+    tuning = begun(staking(0.5).graph, ACTIONS, SEVERAL)
+    assert tuning is not None
+    usual, _ = updated_once(tuning, fresh())
+    after, _ = updated_once(tuning, place)
+    assert after.distribution.step > 0.8 * WIDER
+    assert after.distribution.step > usual.distribution.step
+    for _ in range(60):
+        after, _ = updated_once(after, place)
+        assert after.distribution.step <= WIDEST
+    assert after.distribution.step * float(after.distribution.covariance[0, 0]) ** 0.5 > 100
+
+
+def test_a_plateau_is_where_a_quarter_of_samples_is_the_best_on_every_scenario() -> None:
+    values = torch.arange(20.0)[:, None] * torch.ones(1, SEVERAL)
+    assert not flat(values)
+    values[16:] = 19.0
+    assert not flat(values)  # as these are four of twenty
+    values[15] = 19.0
+    assert flat(values)
+    values[15, 0], values[15, 1] = 20.0, 18.0
+    assert not flat(values)  # as its mean alone is that of the best
+    few = torch.tensor([[1.0] * (SEVERAL - 1)] * 19 + [[0.0] * (SEVERAL - 1)])
+    assert not flat(few)  # which may be luck
+    assert flat(torch.ones(20, 1))
+
+
 def test_luck_asks_for_more_scenarios_up_to_a_limit_and_never_for_fewer() -> None:
     assert tuned(0.5, 4, 10).scenarios > 8
     assert tuned(0.5, 1, 10).scenarios == 1  # as a single scenario tells nothing of luck
     wide = begun(staking(0.5).graph, ACTIONS, 2000)
     assert wide is not None
-    known = update(wide, ACTIONS, fresh(), seeded(0))[0]
+    known = updated_once(wide)[0]
     assert (known.scenarios, known.reliability > wide.reliability) == (2000, True)
     few = begun(staking(0.5).graph, ACTIONS, 4)
     assert few is not None
     for _ in range(10):
-        few, _ = update(few, ACTIONS, fresh(), seeded(0), 6)
+        [(few, _)] = update([few], ACTIONS, fresh(), seeded(0), 6)
     assert few.scenarios == 6
 
 
@@ -124,7 +197,7 @@ def test_unfinished_episodes_are_the_worst_and_do_no_harm() -> None:
     tuning = begun(staking(0.5).graph, ACTIONS, 3)
     assert tuning is not None
     place = replace(fresh(paid=True), max_transitions=0)
-    after, worth = update(tuning, ACTIONS, place, seeded(0))
+    after, worth = updated_once(tuning, place)
     assert after.distribution.mean.isfinite().all()
     assert worth == 0
 
@@ -168,8 +241,8 @@ def test_a_toll_changes_what_is_best_and_not_what_is_told() -> None:
     usual = begun(staking(1.0).graph, ACTIONS, 50)
     assert usual is not None
     place = Lengthy(fresh().world, max_transitions=3)
-    free, _ = update(usual, ACTIONS, place, seeded(0))
-    after, _ = update(replace(usual, toll=3.0), ACTIONS, place, seeded(0))
+    free, _ = updated_once(usual, place)
+    after, _ = updated_once(replace(usual, toll=3.0), place)
     assert after.toll == 3
     assert after.recent == free.recent
     assert after.distribution.mean[0] < free.distribution.mean[0] - 0.1
