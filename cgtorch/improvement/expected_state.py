@@ -129,7 +129,7 @@ def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
 def _tensors_of(part: str, tuning: Tuning) -> dict[str, Tensor]:
     """The tensors of something that is tuned, or may be."""
     about = tuning.distribution
-    counts = about.updates, tuning.scenarios, tuning.lost
+    counts = about.updates, tuning.scenarios, tuning.lost, int(tuning.alone)
     return {
         **population_tensors(part, _alone(tuning.graph)),
         **{f"{part}.{name}": getattr(about, name) for name in VECTORS},
@@ -145,12 +145,12 @@ def _from_tensors(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> 
     """What `_tensors_of` wrote; None if there is no such part."""
     if f"{part}.step" not in tensors:
         return None
-    updates, scenarios, lost = tensors[f"{part}.counts"].tolist()
+    updates, scenarios, lost, alone = tensors[f"{part}.counts"].tolist()
     vectors = {name: tensors[f"{part}.{name}"] for name in VECTORS}
     about = Distribution(step=float(tensors[f"{part}.step"]), updates=updates, **vectors)
     graph = population_named(part, tensors, actions)[:1].graphs
     toll, mark, reliable, *recent = tensors[f"{part}.recent"].tolist()
-    return Tuning(graph, about, scenarios, toll, lost, reliable, tuple(recent), mark)
+    return Tuning(graph, about, scenarios, toll, bool(alone), lost, reliable, tuple(recent), mark)
 
 
 def state_from_tensors(

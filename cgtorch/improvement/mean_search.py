@@ -223,7 +223,7 @@ class MeanSearch:
         toll = 0.0 if tuning.toll else state.toll
         if toll == tuning.toll or any(each.toll for each in rivals):
             return rivals
-        other = begun(tuning.graph, actions, tuning.scenarios, toll)
+        other = begun(tuning.graph, actions, tuning.scenarios, toll, alone=True)
         return rivals if other is None else (*rivals, other)
 
     def _with_split(self, state: State, tuning: Tuning) -> tuple[Tuning, ...]:
@@ -231,14 +231,14 @@ class MeanSearch:
         graph, rivals = split(tuning.mean(self.setup.actions), self.setup.actions), state.rivals
         if graph is None:
             return rivals
-        other = begun(graph, self.setup.actions, tuning.scenarios, tuning.toll)
+        other = begun(graph, self.setup.actions, tuning.scenarios, tuning.toll, alone=True)
         if other is None or any(each.kind == other.kind for each in rivals):
             return rivals
         return (*rivals, other)
 
     def _rival_due(self, state: State, rival: Tuning, generator: Generator) -> State:
         """The state after an update of a rival, and a race of its mean if that is due."""
-        if not rival.due or (compared(state.rivals) and not rival.toll):
+        if not rival.due or (compared(state.rivals) and not rival.alone):
             return state
         others = tuple(each for each in state.rivals if each is not rival)
         state, rival, won = self._mean_raced(state, rival, generator)

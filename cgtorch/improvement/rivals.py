@@ -54,18 +54,18 @@ def first_rivals(
 
 
 def halved(rivals: Sequence[Tuning], rungs: Sequence[int]) -> tuple[Tuning, ...]:
-    """The rivals that go on once all have the updates of a rung; those with a toll do anyway."""
-    usual = [each for each in rivals if not each.toll]
+    """The rivals that go on once all have the updates of a rung; those alone do anyway."""
+    usual = [each for each in rivals if not each.alone]
     updates = {each.distribution.updates for each in usual}
     if not compared(rivals) or len(updates) > 1 or not updates & set(rungs):
         return tuple(rivals)
     best = sorted(usual, key=lambda each: -each.level)[: -(-len(usual) // 2)]
-    return tuple(each for each in rivals if each.toll or any(each is one for one in best))
+    return tuple(each for each in rivals if each.alone or any(each is one for one in best))
 
 
 def compared(rivals: Sequence[Tuning]) -> bool:
     """Whether there are several rivals of which one will be left."""
-    return sum(not each.toll for each in rivals) > 1
+    return sum(not each.alone for each in rivals) > 1
 
 
 def next_rival(rivals: Sequence[Tuning]) -> int:

@@ -48,6 +48,7 @@ class Tuning:
             are mainly the lengths of episodes, so that a skill that does nothing for long is worth
             no more than one that fails early (Mania et al., "Simple random search provides a
             competitive approach to reinforcement learning", 2018, section 4.1).
+        alone: Whether its mean races from the start, without being compared with other rivals.
         lost: Races that the mean has lost in a row.
         reliability: How well samples of the last updates could be told apart.
         recent: The mean values of the better half of samples, in each of the last updates.
@@ -58,6 +59,7 @@ class Tuning:
     distribution: Distribution
     scenarios: int
     toll: float = 0.0
+    alone: bool = False
     lost: int = 0
     reliability: float = Need.reliability
     recent: tuple[float, ...] = ()
@@ -126,7 +128,9 @@ class Tuning:
         return replace(after, scenarios=min(MOST, 2 * self.scenarios))
 
 
-def begun(graph: Graphs, actions: ActionSet, scenarios: int, toll: float = 0.0) -> Tuning | None:
+def begun(
+    graph: Graphs, actions: ActionSet, scenarios: int, toll: float = 0.0, alone: bool = False
+) -> Tuning | None:
     """The tuning of a graph; None if it has no parameters.
 
     The first steps are the smaller the more parameters there are, so that what all of them change
@@ -140,7 +144,7 @@ def begun(graph: Graphs, actions: ActionSet, scenarios: int, toll: float = 0.0) 
     deviation = torch.maximum(steps, RELATIVE * own.sqrt())[:, None].expand(where.shape)[where]
     deviation = deviation / math.sqrt(len(deviation))
     mean = graph.parameters[0][where]
-    return Tuning(graph, initial_distribution(mean, deviation, MOST_FULL), scenarios, toll)
+    return Tuning(graph, initial_distribution(mean, deviation, MOST_FULL), scenarios, toll, alone)
 
 
 def calmed(graph: Graphs, actions: ActionSet) -> Graphs:

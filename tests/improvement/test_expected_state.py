@@ -99,7 +99,7 @@ def read(state: State, given: bool = False) -> State:
 @pytest.mark.parametrize("given", [False, True])
 def test_what_is_kept_is_what_is_read(given: bool) -> None:
     one, two = tuning(lost=2), tuning(0.25)
-    one = replace(one, scenarios=7, reliability=0.75, recent=(1.5, 2.5), mark=-3.0)
+    one = replace(one, scenarios=7, alone=True, reliability=0.75, recent=(1.5, 2.5), mark=-3.0)
     two = replace(two, distribution=replace(two.distribution, updates=3, step=0.3))
     holder = Holder(staking(0.3, 0.1), 3.5, 7.25, 4)
     spent, need = Spent(1, 2, 3, 4, 5, 6, 7), Need(12, 0.625)
@@ -111,7 +111,7 @@ def test_what_is_kept_is_what_is_read(given: bool) -> None:
         assert same(kept.graph, was.graph)
         assert torch.equal(kept.distribution.covariance, was.distribution.covariance)
         assert torch.equal(kept.distribution.mean, was.distribution.mean)
-        about = ("scenarios", "toll", "lost", "reliability", "recent", "mark", "kind")
+        about = ("scenarios", "toll", "alone", "lost", "reliability", "recent", "mark", "kind")
         assert [getattr(kept, name) for name in about] == [getattr(was, name) for name in about]
         assert kept.distribution.updates == was.distribution.updates
         assert kept.distribution.step == was.distribution.step

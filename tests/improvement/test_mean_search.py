@@ -245,6 +245,7 @@ def test_the_same_graph_is_tuned_with_another_toll_if_one_is_known(toll: float) 
     first = after_one(State(HELD, one, (rival,), toll=0.5, spent=PLAYED))
     assert [each.toll for each in first.rivals] == [0.0, 0.5 - toll]
     assert same(first.rivals[1].graph, one.graph)
+    assert [each.alone for each in first.rivals] == [False, True]
     unknown = after_one(State(HELD, one, (rival,), toll=toll, spent=PLAYED))
     assert len(unknown.rivals) == 1 + (toll > 0)
     later = replace(one, distribution=replace(one.distribution, updates=1))
@@ -277,5 +278,6 @@ def test_what_stalls_is_split_once() -> None:
     assert wanted is not None
     assert len(state.rivals) == 2
     assert same(state.rivals[1].graph, wanted)
+    assert [each.alone for each in state.rivals] == [False, True]
     again = after_one(State(HELD, worse, state.rivals[1:], spent=PLAYED), actions=actions)
     assert len(again.rivals) == 1

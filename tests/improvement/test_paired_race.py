@@ -1,15 +1,17 @@
 """A holder falls only to a skill that is better on fresh scenarios, whatever luck says."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import scipy.stats
 import torch
-from lottery import Lottery, PaidLottery, idle, staking, tickets
+from lottery import ACTIONS, Lottery, PaidLottery, idle, staking, tickets
 from support import seeded
 from torch import Generator
 
-from cgtorch.graphs import Skill
+from cgtorch.graphs import BranchingNN, Skill
+from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
 from cgtorch.improvement.paired_race import FIRST, Fresh, Holder, paired_race, student
 
 BEST, GOOD, BAD = staking(1.0), staking(0.9), staking(0.0, 1.0)
@@ -32,6 +34,8 @@ def test_values_are_successes_or_returns_on_scenarios_that_all_skills_meet() -> 
     assert place.executed == 60_000
     paid = fresh(paid=True).of_skills([BEST, BAD], 20_000, seeded(0))
     assert torch.equal(paid, 2 * won[:2])
+    other = replace(BEST, actions=ACTIONS.extended(["Branch"], [BranchingNN(2)]))
+    assert torch.equal(fresh().of_skills([other, BAD, BEST], 20_000, seeded(0)), won)
 
 
 def test_a_mean_and_its_error_are_those_of_all_values() -> None:
@@ -45,6 +49,13 @@ def test_a_mean_and_its_error_are_those_of_all_values() -> None:
     assert Holder(BEST).met(values[:1]).error == math.inf
     assert holder.met(torch.tensor([-math.inf])).mean == -math.inf
     assert holder.met(torch.tensor([-math.inf])).error == math.inf
+
+
+def test_the_first_look_is_larger_where_lanes_are_cheap() -> None:
+    for pace in (BY_STEP, BY_ROLLOUT):
+        place = replace(fresh(), pace=pace)
+        paired_race(place, Holder(BEST), BAD, 0, seeded(0))
+        assert place.episodes in {2 * FIRST * pace.at_once, 4 * FIRST * pace.at_once}
 
 
 def winners(holder: Skill, challenger: Skill, longest: int, races: int = 60) -> int:

@@ -26,7 +26,7 @@ RUNGS = 5, 15
 
 def tuning(level: float, updates: int, toll: float = 0.0) -> Tuning:
     """A tuning of one kind that has come to this level after so many updates."""
-    found = begun(staking(level).graph, ACTIONS, 1, toll)
+    found = begun(staking(level).graph, ACTIONS, 1, toll, alone=toll > 0)
     assert found is not None
     distribution = replace(found.distribution, updates=updates)
     return replace(found, distribution=distribution, recent=(level,))
