@@ -1,6 +1,8 @@
 """Settings shared by every test."""
 
-from collections.abc import Iterator
+import fcntl
+from collections.abc import Generator, Iterator
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -20,6 +22,21 @@ def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         for dtype in (torch.float32, torch.float64):
             native.function("rbf_values", dtype)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Let the first process compile what tests import, while the others wait to find it compiled.
+
+    On a clean clone each would take most of a minute for the same.
+    """
+    with Path(__file__).open() as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            fcntl.flock(file, fcntl.LOCK_SH)
+            fcntl.flock(file, fcntl.LOCK_UN)
+        return (yield)
 
 
 @pytest.fixture(autouse=True)

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from command_line import TRAIN, Ended, in_a_shell
+from command_line import TRAIN, Ended, Shell, in_a_shell
 
 pytest.importorskip("gymnasium")
 
@@ -95,7 +95,5 @@ def test_an_error_in_another_process_is_told_once_and_the_run_goes_on(folder: Pa
     assert again.code == 0, again.err
 
 
-def test_a_number_below_one_is_refused(folder: Path) -> None:
-    ended = trained(folder, "--processes", "0")
-    assert ended.code == 2
-    assert "--processes" in ended.said
+def test_a_number_below_one_is_refused(shell: Shell) -> None:
+    assert "--processes" in shell.refuses(TRAIN, "--processes", 0)

@@ -9,7 +9,6 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from cgtorch.export import to_module, to_onnx
 from cgtorch.export.step import REQUESTS
 from cgtorch.graphs import Action, Skill
 from cgtorch.ground.environment import Environment, Lanes, start_lanes
@@ -25,16 +24,6 @@ Step: TypeAlias = Callable[[Tensor, Tensor, Tensor, Tensor], Sequence[Tensor]]
 @cache
 def reference() -> tuple[StoredRun, Skill]:
     return last_skill(REFERENCE)
-
-
-@cache
-def reference_module() -> bytes:
-    return to_module(reference()[1])
-
-
-@cache
-def reference_onnx() -> bytes:
-    return to_onnx(reference()[1])
 
 
 @dataclass

@@ -13,9 +13,9 @@ from driving import (
     Step,
     by_the_library,
     reference,
-    reference_onnx,
     stacked,
 )
+from exported import exported
 from support import world
 from test_step import Learned, lone
 from torch import Tensor
@@ -62,15 +62,20 @@ def replayed(data: bytes, runs: list[Execution]) -> None:
             torch.testing.assert_close(control, given["control"][t, i], rtol=0, atol=1e-5)
 
 
-def test_five_hundred_percepts() -> None:
+@pytest.fixture
+def data(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The model of the reference run's skill."""
+    return exported("onnx", tmp_path_factory)
+
+
+def test_five_hundred_percepts(data: bytes) -> None:
     _, skill = reference()
     runs, _ = by_the_library(skill, world(12, 90))
     assert sum(len(run.percepts) for run in runs) >= 500
-    replayed(reference_onnx(), runs)
+    replayed(data, runs)
 
 
-def test_the_model_is_whole_and_tells_nothing_else() -> None:
-    data = reference_onnx()
+def test_the_model_is_whole_and_tells_nothing_else(data: bytes) -> None:
     proto = onnx.load_from_string(data)
     onnx.checker.check_model(proto, full_check=True)
     assert [i.name for i in proto.graph.input] == INPUTS

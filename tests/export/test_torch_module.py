@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from driving import Execution, by_the_library, reference, reference_module, stacked
+from driving import Execution, by_the_library, reference, stacked
+from exported import exported
 from safetensors.torch import load_file, save_file
 from support import world
 from test_step import Learned, lone
@@ -64,7 +65,13 @@ def elsewhere(data: bytes, runs: list[Execution], folder: Path) -> tuple[Tensor,
     return given["request"] == found["request"], found["control"], given["control"]
 
 
-def test_a_thousand_percepts_without_cgtorch(tmp_path: Path) -> None:
+@pytest.fixture
+def archive(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The archive of the reference run's skill."""
+    return exported("module", tmp_path_factory)
+
+
+def test_a_thousand_percepts_without_cgtorch(archive: bytes, tmp_path: Path) -> None:
     _, skill = reference()
     runs, _ = by_the_library(skill, world(12, 70))
     hopeless = world(12, 4)
@@ -72,7 +79,7 @@ def test_a_thousand_percepts_without_cgtorch(tmp_path: Path) -> None:
     runs += by_the_library(skill, hopeless)[0]
     assert sum(len(run.percepts) for run in runs) >= 1000
     assert {run.end for run in runs} >= {"success", "timeout"}
-    right, found, expected = elsewhere(reference_module(), runs, tmp_path)
+    right, found, expected = elsewhere(archive, runs, tmp_path)
     assert right.all()
     assert expected.abs().sum() > 0
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
@@ -87,9 +94,9 @@ def test_an_action_with_weights_of_its_own(tmp_path: Path) -> None:
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
 
 
-def test_nothing_in_it_is_a_pickle_or_tells_where_it_was_made() -> None:
-    with zipfile.ZipFile(io.BytesIO(reference_module())) as archive:
-        content = {name: archive.read(name) for name in archive.namelist()}
+def test_nothing_in_it_is_a_pickle_or_tells_where_it_was_made(archive: bytes) -> None:
+    with zipfile.ZipFile(io.BytesIO(archive)) as files:
+        content = {name: files.read(name) for name in files.namelist()}
     assert not [name for name in content if name.endswith((".pkl", ".pt")) and content[name]]
     assert not [name for name, data in content.items() if data[:1] == b"\x80" or data[:2] == b"PK"]
     assert not [name for name, data in content.items() if str(Path.home()).encode() in data]

@@ -178,11 +178,11 @@ def test_an_earlier_skill_stays_unless_another_is_better() -> None:
     after = searched(setup_of(told.append), replace(BEFORE, skill=best))
     assert wins(after.skill) > 0.89
     worse = replace(BEFORE, skill=staking(-1.0, name="earlier"))
-    setups = [setup_of(told.append, generator=seeded(seed)) for seed in range(7)]
+    setups = [setup_of(told.append, generator=seeded(seed)) for seed in range(3)]
     assert median(wins(searched(setup, worse).skill) for setup in setups) > 0.8
 
 
-@pytest.mark.parametrize("number", [1, 2, 9, 25])
+@pytest.mark.parametrize("number", [1, 2, 20])
 @pytest.mark.parametrize("skill", [None, staking(0.2, name="earlier")], ids=["new", "earlier"])
 def test_it_is_the_same_after_an_interruption(
     number: int, skill: Skill | None, tmp_path: Path

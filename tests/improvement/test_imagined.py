@@ -125,7 +125,7 @@ def test_it_ends_with_its_budget_and_its_time_and_keeps_a_skill() -> None:
     assert not of_kind(told, ModelsFitted)
 
 
-@pytest.mark.parametrize("number", [1, 4, 12])
+@pytest.mark.parametrize("number", [1, 7])
 def test_it_is_the_same_after_an_interruption(number: int, tmp_path: Path) -> None:
     whole, again, met = list[Event](), list[Event](), 0
     budget = Budget(number + 2, satisfied=1e6)  # which is never reached

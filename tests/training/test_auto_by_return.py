@@ -23,22 +23,34 @@ from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import StoredRun, planned_run, read_run, write_run
-from cgtorch.training.auto import DECISIVE_EPISODES, EPISODES, train_until
+from cgtorch.training.auto import DECISIVE_EPISODES, EPISODES, SHARE, train_until
 from cgtorch.training.context import Training
 from cgtorch.training.train import NotImprovedError
 
-pytest.importorskip("gymnasium")
+gymnasium = pytest.importorskip("gymnasium")
+
+LIMIT = 50  # of the pole's steps, a tenth of the usual ones
+POLE = "gymnasium.envs.classic_control.cartpole:CartPole"
+gymnasium.register(
+    "ShortPole-v0",
+    f"{POLE}Env",
+    vector_entry_point=f"{POLE}VectorEnv",
+    max_episode_steps=LIMIT,
+    reward_threshold=LIMIT - 1,
+)
 
 
-def begun(folder: Path, attempts: int = 3, transitions: int = 2000) -> StoredRun:
+def begun(
+    folder: Path, attempts: int = 3, transitions: int = 2000, pole: str = "ShortPole-v0"
+) -> StoredRun:
     settings = RunSettings(
-        domain="gymnasium:CartPole-v1",
+        domain=f"gymnasium:{pole}",
         population=12,
         generations=3,
         attempts=attempts,
         max_transitions=transitions,
     )
-    return create_run(folder, settings, GymnasiumSettings("CartPole-v1"))
+    return create_run(folder, settings, GymnasiumSettings(pole))
 
 
 def quietly(message: str) -> nullcontext[None]:
@@ -49,16 +61,27 @@ def of(events: list[Event], kind: type[Event]) -> list[Any]:
     return [event for event in events if isinstance(event, kind)]
 
 
-def test_rounds_go_on_from_the_best_skill_and_test_its_mean(tmp_path: Path) -> None:
-    run, events = begun(tmp_path / "run"), list[Event]()
-    results = train_until(Training(run, events.append, quietly), Goal(target=1e6, rounds=2))
+Whole = tuple[StoredRun, list[Event], list[dict[str, Any]]]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
+    """A run of two rounds, what was told of it, and its results."""
+    run, events = begun(tmp_path_factory.mktemp("whole") / "run"), list[Event]()
+    goal = Goal(target=1e6, rounds=2)
+    return run, events, train_until(Training(run, events.append, quietly), goal)
+
+
+def test_rounds_go_on_from_the_best_skill_and_test_its_mean(whole: Whole) -> None:
+    run, events, results = whole
     assert run.rounds == ("auto-1", "auto-2")
     assert [result["generations"] for result in results] == [9, 9]
     assert [(r["w_size"], r["targets"], r["mean_holds"]) for r in results] == [(0, 0, False)] * 2
     for result, test in zip(results, of(events, FreshTested), strict=True):
         fresh = result["fresh"]
-        assert fresh["tried"] == EPISODES
-        assert 1 < fresh["mean_return"] <= 500
+        played = [e.episodes for e in of(events, MeanTested) if e.stage == result["stage"]][-1]
+        assert fresh["tried"] == max(EPISODES, played // SHARE)
+        assert 1 < fresh["mean_return"] <= LIMIT
         assert 0 <= fresh["error"] < fresh["mean_return"]
         assert (test.mean_return, test.error) == (fresh["mean_return"], fresh["error"])
         assert (test.target, test.decisive) == (1e6, False)
@@ -69,7 +92,7 @@ def test_rounds_go_on_from_the_best_skill_and_test_its_mean(tmp_path: Path) -> N
 
 
 def test_a_round_ends_and_the_goal_is_reached_once_a_second_test_holds(tmp_path: Path) -> None:
-    run, events = begun(tmp_path / "run", attempts=300), list[Event]()
+    run, events = begun(tmp_path / "run", attempts=300, pole="CartPole-v1"), list[Event]()
     results = train_until(Training(run, events.append, quietly), Goal(target=40.0, rounds=9))
     first, second = of(events, FreshTested)[-2:]
     assert (first.decisive, second.decisive) == (False, True)
@@ -80,11 +103,10 @@ def test_a_round_ends_and_the_goal_is_reached_once_a_second_test_holds(tmp_path:
 
 
 @pytest.mark.parametrize("number", [2, 7])
-def test_it_is_the_same_after_an_interruption(tmp_path: Path, number: int) -> None:
+def test_it_is_the_same_after_an_interruption(tmp_path: Path, number: int, whole: Whole) -> None:
     """What the journal has is not evolved again."""
-    goal = Goal(target=1e6, rounds=1)
-    run, stopped = begun(tmp_path / "whole"), begun(tmp_path / "stopped")
-    results = train_until(Training(run, lambda _: None, quietly), goal)
+    run, _, (first, _) = whole
+    goal, stopped = Goal(target=1e6, rounds=1), begun(tmp_path / "stopped")
     met, again = 0, list[Event]()
 
     def stop(event: Event) -> None:
@@ -98,11 +120,13 @@ def test_it_is_the_same_after_an_interruption(tmp_path: Path, number: int) -> No
     assert not stopped.stages
     if number > 2:  # the best so far can be evaluated and exported
         assert last_skill(stopped.folder)[1].name == "auto-1"
-    found = train_until(Training(read_run(stopped.folder), again.append, quietly), goal)
+    (found,) = train_until(Training(read_run(stopped.folder), again.append, quietly), goal)
     assert [e.found.generations for e in of(again, EvolutionRecalled)] == [number - 1]
     timed = {"seconds": 0, "search_seconds": 0}
-    assert [r | timed for r in found] == [r | timed for r in results]
-    assert same(*(last_skill(each.folder)[1].graph for each in (run, stopped)))
+    assert found | timed == first | timed
+    skill = load_progress(run, run.folder / "auto-1").skill
+    assert skill is not None
+    assert same(last_skill(stopped.folder)[1].graph, skill.graph)
 
 
 def made(folder: Path, domain: Tombola, **settings: Any) -> StoredRun:
@@ -130,10 +154,10 @@ def test_chance_is_measured_and_then_means_count(tmp_path: Path) -> None:
     assert load_progress(run, run.folder / run.rounds[-1]).chance
 
 
-@pytest.mark.parametrize("chance", ["yes", "no"])
-def test_the_user_may_overrule_it(tmp_path: Path, chance: str) -> None:
+@pytest.mark.parametrize(("chance", "rounds"), [("yes", 1), ("no", 2)])
+def test_the_user_may_overrule_it(tmp_path: Path, chance: str, rounds: int) -> None:
     run, events = made(tmp_path / "run", Tombola(), chance=chance), list[Event]()
-    train_until(Training(run, events.append, quietly), Goal(target=0.95, rounds=2))
+    train_until(Training(run, events.append, quietly), Goal(target=0.95, rounds=rounds))
     assert not of(events, ChanceFound)
     assert bool(of(events, MeanTested)) == (chance == "yes")
 
