@@ -19,7 +19,7 @@ from cgtorch.graphs import Graphs, Skill, compacted, merged
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.expected_state import State
 from cgtorch.improvement.paired_race import Fresh, Holder, paired_race
-from cgtorch.improvement.rivals import compared, first_rivals, halved, next_rival, simplest
+from cgtorch.improvement.rivals import best, compared, first_rivals, halved, next_rival, simplest
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
@@ -237,13 +237,20 @@ class MeanSearch:
         return (*rivals, other)
 
     def _rival_due(self, state: State, rival: Tuning, generator: Generator) -> State:
-        """The state after an update of a rival, and a race of its mean if that is due."""
-        if not rival.due or (compared(state.rivals) and not rival.alone):
+        """The state after an update of a rival, and a race of its mean if that is due.
+
+        Of rivals that are compared, only the best one races, where they are tuned together.
+        """
+        young = compared(state.rivals) and not rival.alone
+        leads = self.fresh.pace.together and rival is best(state.rivals)
+        if not rival.due or (young and not leads):
             return state
         others = tuple(each for each in state.rivals if each is not rival)
         state, rival, won = self._mean_raced(state, rival, generator)
         if won:
             return replace(state, tuning=rival, rivals=others)
+        if young:
+            return state
         if not rival.stalled:
             return replace(state, rivals=(*others, rival))
         more = rival.more() if rival.improving else None

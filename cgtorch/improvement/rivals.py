@@ -59,13 +59,19 @@ def halved(rivals: Sequence[Tuning], rungs: Sequence[int]) -> tuple[Tuning, ...]
     updates = {each.distribution.updates for each in usual}
     if not compared(rivals) or len(updates) > 1 or not updates & set(rungs):
         return tuple(rivals)
-    best = sorted(usual, key=lambda each: -each.level)[: -(-len(usual) // 2)]
-    return tuple(each for each in rivals if each.alone or any(each is one for one in best))
+    left = sorted(usual, key=lambda each: -each.level)[: -(-len(usual) // 2)]
+    return tuple(each for each in rivals if each.alone or any(each is one for one in left))
 
 
 def compared(rivals: Sequence[Tuning]) -> bool:
     """Whether there are several rivals of which one will be left."""
     return sum(not each.alone for each in rivals) > 1
+
+
+def best(rivals: Sequence[Tuning]) -> Tuning | None:
+    """The rival of those that are compared whose samples are worth most."""
+    usual = [each for each in rivals if not each.alone]
+    return max(usual, key=lambda each: each.level, default=None)
 
 
 def next_rival(rivals: Sequence[Tuning]) -> int:

@@ -174,9 +174,9 @@ def test_the_target_is_reached_by_a_mean_that_is_known_well() -> None:
         assert other.fresh.episodes == 0
 
 
-def after_one(state: State, satisfied: float = 9.0, actions: ActionSet = ACTIONS) -> State:
+def after_one(state: State, pace: Pace = BY_STEP, actions: ActionSet = ACTIONS) -> State:
     """The state after one update following a generation whose champion wins nothing."""
-    search = search_of(satisfied, actions=actions)
+    search = search_of(pace=pace, actions=actions)
     generation = generation_of(search)
     champion = replace(generation.champion, graphs=idle().graph)
     states = search.after(state, replace(generation, champion=champion, number=1), seeded(1))
@@ -266,6 +266,19 @@ def test_where_lanes_are_cheap_rivals_are_tuned_together_on_many_scenarios() -> 
     for state in later:
         assert len({each.distribution.updates for each in state.rivals}) == 1
     assert 0 < later[-1].rivals[0].distribution.updates < BY_ROLLOUT.rungs[0]
+
+
+@pytest.mark.parametrize(("level", "wins"), [(1.0, True), (-1.0, False)])
+def test_the_best_of_rivals_that_are_tuned_together_may_win_before_one_is_left(
+    level: float, wins: bool
+) -> None:
+    holder = Holder(staking(-1.0)).met(torch.full((50,), 0.2))
+    rival = tuned(staking(1.0), updates=EVERY - 1, recent=(level,) * 4)
+    other = tuned(staking(-9.0), updates=EVERY - 1, recent=(0.0,) * 4)
+    state = after_one(State(holder, None, (other, rival), settled=True, spent=PLAYED), BY_ROLLOUT)
+    assert (state.tuning is not None) is wins
+    assert len(state.rivals) == 2 - wins
+    assert all(each.lost == 0 for each in state.rivals)
 
 
 def test_what_stalls_is_split_once() -> None:

@@ -13,6 +13,7 @@ from cgtorch.evolution.population import initial_strategy, random_population
 from cgtorch.evolution.racing import contents
 from cgtorch.graphs import ActionSet, Graphs, LinearNN, RecurrentNN, concatenate
 from cgtorch.improvement.rivals import (
+    best,
     compared,
     first_rivals,
     halved,
@@ -65,6 +66,12 @@ def test_the_best_of_each_kind_come_first_in_the_order_of_their_fitness() -> Non
     assert order[:count] == sorted(order[:count])
     assert order[count:] == sorted(order[count:])
     assert [each.kind for each in first_rivals(*about, 2, actions, 7)] == kinds[:2]
+
+
+def test_the_best_is_one_that_is_compared() -> None:
+    rivals = [tuning(1.0, 5), tuning(3.0, 5), tuning(9.0, 5, toll=1.0), tuning(2.0, 5)]
+    assert best(rivals) is rivals[1]
+    assert best(rivals[2:3]) is None
 
 
 def test_the_worse_half_ends_at_each_rung_and_those_with_a_toll_go_on() -> None:
