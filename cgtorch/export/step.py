@@ -268,7 +268,8 @@ class SkillStep(nn.Module):
             after = torch.cat([said, has_said[:, None].to(mind.dtype), *around], 1)
             mind = torch.where(here[:, None], after, mind)
             outcome = torch.where(here, out, outcome)
-        return torch.where(thinks[:, None], self._advance(place, outcome), place), mind
+        place = torch.where(thinks[:, None], self._advance(place, outcome), place)
+        return place, mind.clone()  # as loops may not return what they were given
 
     def first(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The first step's percept (D,), outcome (), place (place_size,) and mind (mind_size,)."""

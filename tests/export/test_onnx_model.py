@@ -16,7 +16,7 @@ from driving import (
     stacked,
 )
 from exported import exported
-from support import world
+from support import circle, world
 from test_step import Learned, lone
 from torch import Tensor
 
@@ -24,6 +24,7 @@ from cgtorch.export import to_onnx
 from cgtorch.export.modules import INPUTS, ONNX_ABOUT, OUTPUTS
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, SettingsError
+from cgtorch.tabletop.actions import paper_actions
 
 
 def session(data: bytes) -> onnxruntime.InferenceSession:
@@ -73,6 +74,12 @@ def test_five_hundred_percepts(data: bytes) -> None:
     runs, _ = by_the_library(skill, world(12, 90))
     assert sum(len(run.percepts) for run in runs) >= 500
     replayed(data, runs)
+
+
+def test_a_skill_that_computes_nothing() -> None:
+    skill = circle(paper_actions(), "MoveBase", "Grasp")
+    runs, _ = by_the_library(skill, world(4, 90))
+    replayed(to_onnx(skill, percept_size=7), runs)
 
 
 def test_the_model_is_whole_and_tells_nothing_else(data: bytes) -> None:
