@@ -256,7 +256,7 @@ class Bounded(Protocol):
 
 @runtime_checkable
 class Frugal(Protocol):
-    """An environment whose users count its steps, however many lanes run at once."""
+    """An environment that tells whether each step counts, however many lanes run at once."""
 
     frugal: bool
 

@@ -41,7 +41,7 @@ class Spent:
     raced: int = 0
 
     def after_updates(self, holds: bool, episodes: int, executed: int) -> "Spent":
-        """What is spent after updates, of the holder's tuning (with others), or of rivals."""
+        """What is spent after an update of the holder's tuning (`holds`), or of rivals."""
         spent = replace(self, episodes=self.episodes + episodes)
         if holds:
             return replace(spent, tuned=self.tuned + executed)

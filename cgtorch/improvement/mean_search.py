@@ -174,7 +174,7 @@ class MeanSearch:
         return (state.rivals[next_rival(state.rivals)],)
 
     def _tuned(self, state: State, turn: tuple[Tuning, ...], generator: Generator) -> State:
-        """The state after an update of some tunings, and races of their means if they are due."""
+        """The state after an update of the holder's tuning or of rivals, and races that are due."""
         episodes, executed = self.fresh.episodes, self.fresh.executed
         most = state.spent.episodes // (LARGEST * SAMPLES * len(turn))
         found = update(turn, self.setup.actions, self.fresh, generator, most)
@@ -183,7 +183,7 @@ class MeanSearch:
             state = replace(state.with_tuned(old, new), toll=state.toll or worth)
         episodes, executed = self.fresh.episodes - episodes, self.fresh.executed - executed
         state = replace(state, spent=state.spent.after_updates(holds, episodes, executed))
-        if len(turn) > holds:
+        if not holds:
             state = replace(state, rivals=halved(state.rivals, self.fresh.pace.rungs))
         for tuning, _ in found:
             if tuning is state.tuning:

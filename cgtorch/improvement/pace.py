@@ -33,4 +33,5 @@ BY_ROLLOUT = Pace(8, True, 1, (60, 180))
 
 def pace_of(environment: Environment) -> Pace:
     """The pace of a search in an environment."""
-    return BY_STEP if isinstance(environment, Bounded | Frugal) else BY_ROLLOUT
+    frugal = isinstance(environment, Frugal) and environment.frugal
+    return BY_STEP if frugal or isinstance(environment, Bounded) else BY_ROLLOUT

@@ -18,7 +18,14 @@ class Compared(Lottery):
     frugal = True
 
 
+class Uncounted(Lottery):
+    """One that says that its steps do not count."""
+
+    frugal = False
+
+
 def test_environments_that_run_few_lanes_or_are_compared_by_steps_cost_by_the_step() -> None:
     assert pace_of(Few(tickets(1, seeded(0)))) is BY_STEP
     assert pace_of(Compared(tickets(1, seeded(0)))) is BY_STEP
+    assert pace_of(Uncounted(tickets(1, seeded(0)))) is BY_ROLLOUT
     assert pace_of(Lottery(tickets(1, seeded(0)))) is BY_ROLLOUT
