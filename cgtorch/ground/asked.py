@@ -55,12 +55,14 @@ class Purse:
         spent: World actions so far, by phase.
         exhausted: Whether something was refused.
         until: When no further action may begin, on the clock of `time.monotonic`.
+        settled: Whether a search has its result, so that nothing is left to break off.
     """
 
     limits: Mapping[str, float] = field(default_factory=dict)
     spent: dict[str, Asked] = field(default_factory=dict)
     exhausted: bool = False
     until: float = inf
+    settled: bool = False
 
     def late(self, grace: float = 0.0) -> bool:
         """Whether the time has been over for so many seconds, by the clock of the first rank."""

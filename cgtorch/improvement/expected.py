@@ -101,6 +101,7 @@ def improve_expected(
                 break
     if state.holder is None:
         return progress
+    setup.purse.settled = True
     skill = state.holder.skill
     _report(setup, progress, skill, tests, time.perf_counter() - first)
     usual = skill.actions is setup.actions

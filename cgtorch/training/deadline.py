@@ -19,6 +19,8 @@ GRACE = 2.0  # s, in which a step ends by itself
 def deadline(purse: Purse) -> Iterator[None]:
     """A context that is left by a BudgetSpentError soon after the time of a purse is over.
 
+    It is not left once the purse is settled, as what is only to be told would be lost.
+
     Steps look at the clock between generations, and one may take minutes. Only the main thread has
     this alarm, where the system has one, of a single process or of one that has started the other
     ranks itself. These end then, as they cannot all be broken off at the same place.
@@ -29,7 +31,11 @@ def deadline(purse: Purse) -> Iterator[None]:
         yield
         return
 
+    purse.settled = False
+
     def ring(number: int, frame: FrameType | None) -> None:
+        if purse.settled:
+            return
         end_others()
         raise BudgetSpentError("the time is over; give more (minutes, --minutes)")
 

@@ -134,9 +134,16 @@ def test_it_ends_after_its_generations_and_when_the_time_is_over() -> None:
     seconds = [each.seconds for each in of_kind(told, GenerationDone)]
     assert min(seconds) > 0
     assert sum(seconds) < time.perf_counter() - began
-    late = Purse(until=time.monotonic())
+    late, settled = Purse(until=time.monotonic()), list[bool]()
     told.clear()
-    assert searched(setup_of(told.append, purse=late)).skill is not None
+
+    def watch(event: Event) -> None:
+        told.append(event)
+        if isinstance(event, GenerationDone | SkillAccepted):
+            settled.append(late.settled)
+
+    assert searched(setup_of(watch, purse=late)).skill is not None
+    assert settled == [False, True]  # from then on no alarm interrupts it
     assert len(of_kind(told, GenerationDone)) == 1
 
 

@@ -23,6 +23,16 @@ def test_a_long_step_ends_soon_after_the_time_is_over() -> None:
     assert signal.getsignal(signal.SIGALRM) is before
 
 
+def test_what_is_settled_is_told_to_its_end() -> None:
+    purse, slept = Purse(until=time.monotonic() - 1.0, settled=True), False
+    with deadline(purse):
+        assert not purse.settled  # as a search begins
+        purse.settled = True
+        time.sleep(GRACE + 0.5)
+        slept = True
+    assert slept
+
+
 def test_nothing_rings_after_the_context_or_without_a_limit() -> None:
     with deadline(Purse(until=time.monotonic())):
         pass
