@@ -53,10 +53,12 @@ def together() -> Iterator[None]:
 def joined(store: Store, rank: int, size: int) -> Iterator[None]:
     """Be one of so many ranks, which meet at a store, while the context lasts.
 
-    Tensors on a CPU are gathered by gloo, those on a GPU by NCCL.
+    Tensors on a CPU are gathered by gloo, those on a GPU by NCCL. RankLostError is raised if
+    another rank ends before all have met: one that has met all others may fail at once.
     """
     backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
-    torch.distributed.init_process_group(backend, store=store, rank=rank, world_size=size)
+    with _others_there():
+        torch.distributed.init_process_group(backend, store=store, rank=rank, world_size=size)
     try:
         yield
     finally:

@@ -104,6 +104,22 @@ def test_an_error_of_another_rank_is_raised_as_it_is() -> None:
     assert not others_started()
 
 
+def test_an_error_of_another_rank_is_raised_if_it_comes_while_others_still_meet(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Gloo's connections end as soon as one rank fails, which may be before the others have met."""
+
+    def met(backend: str, store: torch.distributed.Store, rank: int, world_size: int) -> None:
+        if rank == 1:
+            raise WorldError("while others meet")
+        raise RuntimeError("Gloo connectFullMesh failed: Connection closed by peer")
+
+    monkeypatch.setattr(torch.distributed, "init_process_group", met)
+    with pytest.raises(WorldError, match=r"^while others meet$"):
+        in_ranks(ranks.wait, 2)
+    assert not others_started()
+
+
 def test_an_error_of_the_first_rank_ends_the_others() -> None:
     processes = list[int]()
 
