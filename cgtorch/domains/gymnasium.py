@@ -223,7 +223,8 @@ class Gymnasium(Domain[Starts]):
 
         The world ends these episodes by itself, but learned models do not.
         """
-        every, success = reward_actions(len(self.percept), len(self.control)), self.known.success
+        sizes, success = (len(self.percept), len(self.control)), self.known.success
+        every = reward_actions(*sizes, self.settings.hidden)
         ends = success is not None and not success.at_last
         return every.extended(["Test"], [Test()]) if ends else every
 

@@ -99,6 +99,13 @@ class GymnasiumSettings(DomainSettings):
         when="Give it if you know what is rewarded, and only motion is to be learned.",
         before="",
     )
+    hidden: int = option(
+        8,
+        "Number of units in the hidden layer of the network Aim.",
+        OF_THE_RUN,
+        when="Raise it if a task needs a policy that bends more.",
+        before=8,
+    )
 
     def __post_init__(self) -> None:
         """Check every value; SettingsError for one that cannot work."""

@@ -35,15 +35,20 @@ BUILT_IN: Mapping[str, Callable[[int, int], Action]] = {
 """Actions for any domain by name; each is made from the lengths of its percepts and controls."""
 
 
-def reward_actions(percept: int, control: int) -> ActionSet:
+def reward_actions(percept: int, control: int, hidden: int = 8) -> ActionSet:
     """The actions of domains with rewards, for percepts and controls of these lengths.
 
-    Four networks send a control: a linear one, one with a hidden layer of 8, one that reads the
-    latest changes, and a recurrent one. A step carries the control out, and a network branches.
+    Four networks send a control: a linear one, one with a hidden layer, one that reads the latest
+    changes, and a recurrent one. A step carries the control out, and a network branches.
+
+    Args:
+        percept: Number of values of a percept.
+        control: Number of values of a control.
+        hidden: Number of units in the hidden layer of `Aim`.
     """
     actions = {
         "Linear": LinearNN(percept, control),
-        "Aim": ContinuousNN(percept, 8, control),
+        "Aim": ContinuousNN(percept, hidden, control),
         "Delay": DelayNN(percept, outputs=control),
         "Recur": RecurrentNN(percept, outputs=control),
         "Step": Step(control),

@@ -51,7 +51,7 @@ gymnasium.register("Push-v0", Push, max_episode_steps=8)
 NAME = "gymnasium:push:Push-v0+push:wrapped"
 GIVEN = ["--domain", "gymnasium:push:Push-v0", "--wrappers", "push:wrapped"]
 OWN = ["--env", "line=0.4", "--percepts", "place", "--success", "success", "--target", "0.9"]
-SMALL = ["--population=20", "--generations=20", "--practice=3", "--rounds=1"]
+SMALL = ["--population=20", "--generations=20", "--practice=3", "--rounds=1", "--hidden=12"]
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +89,7 @@ def test_the_options_are_kept(made: Path) -> None:
         "success_at": "any",
         "wrappers": ["push:wrapped"],
         "reward": "",
+        "hidden": 12,
     }
 
 

@@ -44,6 +44,18 @@ def test_it_keeps_the_interface(name: str) -> None:
     check_domain(domain_of(name), "starts")
 
 
+def test_the_hidden_layer_has_the_size_that_was_asked_for() -> None:
+    settings = GymnasiumSettings(target_return=-50.0, hidden=20)
+    actions = make_domain("gymnasium:Pendulum-v1", settings).actions()
+    usual = domain_of("Pendulum-v1").actions()
+    sizes = {
+        each: (before.num_parameters, after.num_parameters)
+        for each, before, after in zip(usual.names, usual.actions, actions.actions, strict=True)
+        if before.num_parameters != after.num_parameters
+    }
+    assert sizes == {"Aim": (3 * 8 + 8 + 8 + 1, 3 * 20 + 20 + 20 + 1)}
+
+
 @pytest.mark.parametrize("name", IDS)
 def test_lanes_do_what_gymnasium_plays(name: str) -> None:
     domain = domain_of(name)

@@ -173,7 +173,7 @@ def test_a_run_of_before_these_settings_is_read(tmp_path: Path) -> None:
     write_run(planned_run(tmp_path / "run", run, GymnasiumSettings("Acrobot-v1")))
     path, stored = tmp_path / "run" / "run.json", tmp_path / "run" / "gymnasium.json"
     about = json.loads(path.read_text())
-    for name in ("env", "percepts", "success", "success_at", "wrappers"):
+    for name in ("env", "percepts", "success", "success_at", "wrappers", "reward", "hidden"):
         del about["domain_settings"][name]
     path.write_text(json.dumps(about))
     known = json.loads(stored.read_text())
