@@ -21,6 +21,7 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from math import inf
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -31,6 +32,7 @@ from options.seeds import seeds_option
 from cgtorch.commands.train import command as train
 from cgtorch.domains.gymnasium_episodes import Episode
 from cgtorch.domains.gymnasium_world import VectorSteps
+from cgtorch.ground.asked import BudgetSpentError, Purse
 from cgtorch.ground.files import read_json, write_json
 from cgtorch.runs.log import read_log
 
@@ -56,9 +58,16 @@ NAMES = ("environment", "seed", "mean_return", "solved", "rounds", "episodes", "
 @seeds_option("0:5")
 @click.option("--rounds", default=10, show_default=True, help="The most rounds of a run.")
 @click.option("--minutes", default=1000.0, show_default=True, help="The most minutes of a run.")
+@click.option("--steps", type=int, help="The most world steps of a run, without its final test.")
 @click.option("--jobs", default=1, show_default=True, help="Runs side by side.")
 def command(
-    folder: Path, only: tuple[str, ...], seeds: range, rounds: int, minutes: float, jobs: int
+    folder: Path,
+    only: tuple[str, ...],
+    seeds: range,
+    rounds: int,
+    minutes: float,
+    steps: int | None,
+    jobs: int,
 ) -> None:
     """Train skills for Gymnasium environments and try them on fresh episodes."""
     work = [(environment, seed) for environment in only or TASKS for seed in seeds]
@@ -68,7 +77,7 @@ def command(
     )
     with pool:
         results = list(
-            pool.map(partial(measured, folder, rounds, minutes), *zip(*work, strict=True))
+            pool.map(partial(measured, folder, rounds, minutes, steps), *zip(*work, strict=True))
         )
     write_json(folder / "results.json", results)
     click.echo(table(results))
@@ -76,22 +85,23 @@ def command(
 
 
 def measured(
-    folder: Path, rounds: int, minutes: float, environment: str, seed: int
+    folder: Path, rounds: int, minutes: float, steps: int | None, environment: str, seed: int
 ) -> dict[str, Any]:
     """One environment and seed; a run that has made fewer rounds before is gone on with."""
     run = folder / f"{environment}-{seed}"
     kept = run / "measured.json"
     if not kept.is_file():  # what it has cost so far is not known
         shutil.rmtree(run, ignore_errors=True)
-    if not _ended(run, rounds):
+    before = read_json(kept) if kept.is_file() else {}
+    left = None if steps is None else steps - before.get("steps", 0)
+    if not _ended(run, rounds) and (left is None or left > 0):
         known = run.is_dir()
         limits = ["--rounds", str(rounds), "--minutes", str(minutes)]
         about = [*limits, "--processes", "1", "--quiet"]  # in which steps are counted
         new = ["--domain", f"gymnasium:{environment}", "--seed", str(seed), *TASKS[environment]]
         words = [*about, "--resume", str(run)] if known else [*new, *about, "--run-dir", str(run)]
-        counts = counted(partial(train, words, standalone_mode=False))
-        before = read_json(kept) if known else dict.fromkeys(counts, 0)
-        total = {name: before[name] + value for name, value in counts.items()}
+        counts = counted(partial(train, words, standalone_mode=False), left)
+        total = {name: before.get(name, 0) + value for name, value in counts.items()}
         write_json(kept, {**total, **_tried(run)})
     wanted = read_json(run / "gymnasium.json")["target_return"]
     found = read_json(kept)
@@ -112,10 +122,13 @@ def _ends(run: Path, event: str) -> list[dict[str, Any]]:
     return [row for row in read_log(run) if row["event"] == event]
 
 
-def counted(training: Callable[[], Any]) -> dict[str, float]:
-    """The cost of a training in this process: finished episodes, steps, and CPU seconds."""
-    counts = Counts()
-    plain_play, plain_step = Episode.play, VectorSteps.step
+def counted(training: Callable[[], Any], most: int | None = None) -> dict[str, float]:
+    """The cost of a training in this process: finished episodes, steps, and CPU seconds.
+
+    With the last of its `most` steps the time of the training is over, and only its test is left.
+    """
+    counts = Counts(inf if most is None else most)
+    plain_play, plain_step, plain_late = Episode.play, VectorSteps.step, Purse.late
 
     def play(episode: Episode, *action: Any) -> Any:
         found = plain_play(episode, *action)
@@ -127,9 +140,18 @@ def counted(training: Callable[[], Any]) -> dict[str, float]:
         counts.add(len(state), int(found[3].sum()))
         return found
 
+    def late(purse: Purse, grace: float = 0.0) -> bool:
+        limited = purse.until < inf  # as that of a training is
+        return (limited and counts.over) or plain_late(purse, grace)
+
     Episode.play, VectorSteps.step = play, step  # type: ignore[method-assign]
+    Purse.late = late  # type: ignore[method-assign]
     began = time.monotonic()
-    training()
+    try:
+        training()
+    finally:
+        Episode.play, VectorSteps.step = plain_play, plain_step  # type: ignore[method-assign]
+        Purse.late = plain_late  # type: ignore[method-assign]
     used = resource.getrusage(resource.RUSAGE_SELF)
     return {
         "episodes": counts.episodes,
@@ -141,15 +163,22 @@ def counted(training: Callable[[], Any]) -> dict[str, float]:
 
 @dataclass
 class Counts:
-    """Steps, and episodes that ended with one of them."""
+    """Steps, and episodes that ended with one of them, until there were as many as allowed."""
 
+    most: float = inf
     steps: int = 0
     episodes: int = 0
+    over: bool = False
 
     def add(self, steps: int, episodes: int) -> None:
-        """Count some more."""
+        """Count some more; BudgetSpentError with the last one, and nothing is counted after it."""
+        if self.over:
+            return
         self.steps += steps
         self.episodes += episodes
+        if self.steps >= self.most:
+            self.over = True
+            raise BudgetSpentError(f"all {self.most} steps have been made")
 
 
 def _tried(run: Path) -> dict[str, Any]:

@@ -1,0 +1,1 @@
+"""Peers of `compare_locomotion.py`, and the episodes of linear policies that they play."""
