@@ -15,7 +15,7 @@ CAUSES = {
     "classifier": "they are solved in Γ and C, and C says success where a test in the world fails",
     "gamma": "they are solved in Γ and C, and the world leads elsewhere",
     "search": "they fail in Γ and C, too",
-    "world": "no better skill was found in the world, in which it was evolved",
+    "world": "the skill was evolved in the world itself, and no better one was found",
     "open": "the models in which the skill was evolved are not at hand",
 }
 """What can cause a failure, and how it is known. Each failure has the first of these that holds."""
@@ -86,6 +86,8 @@ class Searched:
         value: The goal, or the number of scenarios solved in a row; 0 otherwise.
         imagined: The most scenarios that an individual solved where it was evolved, of how many.
         met: How many episodes in the world succeeded, of how many.
+        limits: The limits of the training, such as "--minutes 2".
+        scarce: Settings that are far below the usual ones, such as "--attempts 1 (usually 24)".
     """
 
     stage: str
@@ -97,6 +99,8 @@ class Searched:
     value: float = 0.0
     imagined: tuple[int, int] = (0, 0)
     met: tuple[int, int] = (0, 0)
+    limits: str = ""
+    scarce: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -110,11 +114,15 @@ class Advice:
 
 @dataclass(frozen=True)
 class Tried:
-    """How many scenarios of a kind were tried, and how many of them were solved."""
+    """How many scenarios of a kind were tried, and how many of them were solved.
+
+    `made` is whether a skill for the kind has been found.
+    """
 
     kind: str
     tried: int
     succeeded: int
+    made: bool = True
 
 
 @dataclass(frozen=True, eq=False)

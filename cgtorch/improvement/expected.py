@@ -87,17 +87,20 @@ def improve_expected(
         for generation in evolve(*about, **how):
             _record(setup, progress, state, generation)
             before, generator = state.holder, derived_generator(own, 2 * generation.number + 2)
-            for state in search.after(state, generation, generator):  # noqa: B020  it follows
-                _tell(setup, state, before)
-                before = state.holder
-            state, certain = search.certain(state, generator)
+            certain, over = False, True
+            with suppress(BudgetSpentError):  # so that the generation is told in any case
+                for state in search.after(state, generation, generator):  # noqa: B020  it follows
+                    _tell(setup, state, before)
+                    before = state.holder
+                state, certain = search.certain(state, generator)
+                over = setup.purse.late()
             now = time.perf_counter()
             counts = solved_of(generation.succeeded, torch.zeros_like(generation.succeeded))
             done = generation, limit, now - began
             began = now
             setup.watch(GenerationDone(setup.name, setup.name, *counts, *done))
             _tell(setup, state, before)
-            if certain or state.spent.generations >= limit or setup.purse.late():
+            if certain or over or state.spent.generations >= limit:
                 break
     if state.holder is None:
         return progress

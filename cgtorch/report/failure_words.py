@@ -16,6 +16,7 @@ from cgtorch.ground.fields import Field
 SHOWN = 12  # scenarios of a kind that are named
 NUMBERS = 8  # of a percept or control that are shown
 FIRST, LAST = 30, 10  # steps of a way that are in the text
+ERRS = "An error of Γ of 1 is large: for 99 % of its data it is smaller."
 COLUMNS = ("step", "node → outcome", "control", "percept afterwards", "C says", "Γ errs")
 
 Fields = Sequence[Field]
@@ -24,21 +25,25 @@ Fields = Sequence[Field]
 def which_fail(found: Failures) -> list[str]:
     """Sentences about which scenarios fail."""
     if not found.tried:
-        return ["There is no skill yet, so nothing was tried."]
+        return ["There is no skill yet that could be tried on fresh scenarios."]
     total = sum(each.tried for each in found.tried)
     said = [f"{found.failed} of {total} scenarios fail."]
     if len(found.tried) > 1:
-        parts = [f"{t.tried - t.succeeded} of {t.tried} {t.kind}" for t in found.tried]
+        parts = [
+            f"{t.tried - t.succeeded} of {t.tried} {t.kind}"
+            + ("" if t.made else " (for which no skill was found yet)")
+            for t in found.tried
+        ]
         said.append(f"By kind: {', '.join(parts)}.")
     if 0 < found.looked < found.failed:
         said.append(f"{found.looked} of them were looked at.")
     if 0 < (caused := sum(found.causes().values())) < found.failed:
-        said.append(f"The causes of {caused} of them were looked for.")
+        said.append(f"For {caused} of them, the first of each kind, the causes were looked for.")
     if (split := found.split) is not None:
         beyond = "more" if split.above else "less"
         (failed, failures), (solved, successes) = split.failed, split.solved
         said.append(
-            f"They begin otherwise than successes: {split.name} is {beyond} than "
+            f"Failures and successes begin in different places: {split.name} is {beyond} than "
             f"{in_unit(split.threshold, split.unit)} in {failed} of {failures} failures, and in "
             f"{solved} of {successes} successes."
         )
@@ -47,7 +52,8 @@ def which_fail(found: Failures) -> list[str]:
 
 def title_of(kind: Failure) -> str:
     """A kind of failure in short."""
-    return f"{kind.end} at {kind.node}"
+    short = bool(kind.returns) and isfinite(kind.returns[0])
+    return f"{'return below the target' if short else kind.end}, ending at {kind.node}"
 
 
 def about_kind(found: Failures, kind: Failure, domain: Domain[Any]) -> list[str]:
@@ -74,7 +80,7 @@ def about_kind(found: Failures, kind: Failure, domain: Domain[Any]) -> list[str]
     if kind.end == "timeout" and 2 * way.still < steps and kind.causes[0].name != "limit":
         since = f"From step {way.still} on" if way.still else "In all steps"
         said.append(
-            f"{since} no control is carried out, so more transitions alone will hardly help."
+            f"{since} the skill goes round without a control, so more transitions will hardly help."
         )
     if way.parts is not None:
         said.append(apart(way, domain.percept))
@@ -178,7 +184,7 @@ def as_text(found: Failures, domain: Domain[Any], films: dict[int, str]) -> str:
             lines += ["", f"![The skill at work]({films[number]})"]
         head, *rows = table_of(kind.way, domain, FIRST, LAST)
         lines += ["", *map(_line, (head, ["---"] * len(head), *rows))]
-    lines += ["", "Γ errs by 1 where only 1 % of its data are further from what it predicts."]
+    lines += ["", ERRS]
     return "\n".join(map(printable, lines)) + "\n"
 
 

@@ -74,7 +74,7 @@ def _map_of(stage: Stage, run: StoredRun, kind: str | None) -> tuple[Markup, str
     """A picture of all known results of a stage's skill; tests of a kind are marked."""
     solved, missed = len(stage.solved), len(stage.missed)
     if not solved + missed:
-        return NONE, f"{stage.skill.name}: nothing was tried"
+        return NONE, f"{stage.skill.name}: no scenarios are kept, as fresh episodes decide"
     words = f"{stage.skill.name}: {solved} scenarios {run.pictures.solved[0]}, {missed} missed"
     if isinstance(stage.solved, Placements):  # whose objects have no known places
         return NONE, words

@@ -188,7 +188,9 @@ def about_search(searched: Searched | None) -> list[str]:
     if searched is None:
         return ["Go on training, with more --generations or a larger --population."]
     s, said = searched, []
-    if s.generations and not s.solving:
+    if s.scarce:
+        said.append(f"The search had little: {', '.join(s.scarce)}. Give it the usual first.")
+    elif s.generations and not s.solving:
         return [
             f"In {s.generations} generations no individual solved anything, so more of them, or a "
             "larger --population, will hardly help. Give the search a way to begin: scenarios "
@@ -205,15 +207,18 @@ def about_search(searched: Searched | None) -> list[str]:
             "--practice."
         )
     elif s.ended == "limits":
-        said.append("The training ran out of time or rounds: go on with --resume and more of them.")
+        said.append(
+            f"The training ended at its limits ({s.limits}): go on with cgtorch-train --resume RUN "
+            "and higher ones."
+        )
     elif s.ended == "interrupted":
-        said.append(f"{s.stage} has not come to its end: go on with --resume.")
+        said.append(f"{s.stage} has not come to its end: go on with cgtorch-train --resume RUN.")
     if s.rising:
         said.append(
             f"The fitness still rose when the last evolution ended after {s.limit} generations: "
             "raise --generations."
         )
-    elif s.ended == "failed":
+    elif s.ended == "failed" and not s.scarce:
         said.append(
             "The fitness did not rise any more: raise --population, or give other actions "
             "(--actions)."

@@ -1,5 +1,6 @@
 """Why the last skill of a run fails, from the run's folder alone."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ from cgtorch.domains.failures import Explained, Searched, Tried
 from cgtorch.graphs import load_skill
 from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import Row, read_log
+from cgtorch.runs.settings import defaults_of, option_of
 from cgtorch.runs.storage import load_scenarios, stage_knowledge
 from cgtorch.runs.stored_run import SKILL, StoredRun
 from cgtorch.training.advice import MODELS, unskilled
@@ -15,6 +17,8 @@ from cgtorch.training.evaluate import evaluate_skill, joined, try_on
 from cgtorch.training.failures import Background, failures_of
 from cgtorch.training.train import FRESH, FRESH_SEED
 
+SEARCH = "generations", "attempts", "population"
+LITTLE = 0.5  # of the usual, at most, is little
 EPISODES = 100  # fresh scenarios of a run in rounds
 KNOWN = 24  # scenarios that training has missed, the last ones
 MISSED = "missed in training"
@@ -29,7 +33,7 @@ def explained(run: StoredRun) -> Explained | None:
         return None
     log, folder = read_log(run.folder), folder_of_last(run)
     if folder is None:
-        return Explained(unskilled(searched_of(log, ""), _where(run)))
+        return Explained(unskilled(_searched(run, log, ""), _where(run)))
     skill = load_skill(folder / SKILL, run.actions)
     seed = FRESH_SEED + run.settings.seed
     scores = {
@@ -40,7 +44,12 @@ def explained(run: StoredRun) -> Explained | None:
         _, missed = load_scenarios(folder / "scenarios.json", run.like())
         if len(missed):
             scores[MISSED] = try_on(skill, run.domain, missed[-KNOWN:])
-    tried = tuple(Tried(kind, each.tried, each.successes) for kind, each in scores.items())
+    unmade = {kind for name, kind in run.domain.stages.items() if name not in run.stages}
+    unmade -= {run.domain.stages[name] for name in run.stages if name in run.domain.stages}
+    unmade -= {run.kind} if run.rounds else set()
+    tried = tuple(
+        Tried(kind, each.tried, each.successes, kind not in unmade) for kind, each in scores.items()
+    )
     score = joined([*scores.values()])
     found = failures_of(skill, run.domain, score, background_of(run, folder, log), tried)
     return Explained(found, seed, skill, score.scenarios, score.succeeded)
@@ -55,7 +64,19 @@ def background_of(run: StoredRun, folder: Path, log: list[Row] | None = None) ->
     log = read_log(run.folder) if log is None else log
     begun = [str(row["stage"]) for row in log if row["event"] == "stage"]
     last = begun[-1] if begun and _is_last(run, folder) else folder.name
-    return Background(known, modelled, searched_of(log, last))
+    return Background(known, modelled, _searched(run, log, last))
+
+
+def _searched(run: StoredRun, log: list[Row], stage: str) -> Searched | None:
+    """What the log says of the search for the skill of a stage, and which settings were low."""
+    found, usual = searched_of(log, stage), defaults_of(type(run.domain.settings))
+    given = {name: getattr(run.settings, name) for name in SEARCH}
+    scarce = tuple(
+        f"{option_of(name)} {value} (usually {usual[name]})"
+        for name, value in given.items()
+        if value <= LITTLE * usual[name]
+    )
+    return found and replace(found, scarce=scarce)
 
 
 def _is_last(run: StoredRun, folder: Path) -> bool:
@@ -92,7 +113,8 @@ def searched_of(log: list[Row], stage: str) -> Searched | None:
     ended, value = _end(log, stage)
     if not rows:
         none = stage not in known and ended == "interrupted"
-        return None if none else Searched(stage, 0, 0, 1.0, False, ended, value)
+        about = stage, 0, 0, 1.0, False, ended, value
+        return None if none else Searched(*about, limits=_limits(log))
     last = [row for row in rows if row["candidate"] == rows[-1]["candidate"]]
     sizes = [(row["solved_w"] + row["solved_m"], row["size_w"] + row["size_m"]) for row in rows]
     met = [row for row in log if row["event"] == "asked" and row["stage"] == stage]
@@ -106,6 +128,7 @@ def searched_of(log: list[Row], stage: str) -> Searched | None:
         value=value,
         imagined=max(sizes),
         met=(sum(row["succeeded"] for row in met), sum(row["episodes"] for row in met)),
+        limits=_limits(log),
     )
 
 
@@ -114,6 +137,13 @@ def _rises(rows: list[Row]) -> bool:
     best = [row["best"] for row in rows if row["best"] is not None]
     before = best[: len(best) * 3 // 4]
     return len(rows) >= rows[-1]["limit"] and bool(before) and max(best) > max(before)
+
+
+def _limits(log: list[Row]) -> str:
+    """The limits of the last training that has ended, such as "--minutes 10, --rounds 30"."""
+    ended = next((row for row in reversed(log) if row["event"] == "ended"), {})
+    known = [name for name in ("minutes", "rounds") if ended.get(name) is not None]
+    return ", ".join(f"{option_of(name)} {ended[name]:g}" for name in known)
 
 
 def _end(log: list[Row], stage: str) -> tuple[str, float]:

@@ -109,7 +109,7 @@ def _kinds(
     skill: Skill, domain: Domain[Any], failed: _Failed, known: Background
 ) -> tuple[Failure, ...]:
     """The kinds of these failures, the most frequent first."""
-    names = [(one.end, f"{node_of(one.step)}: {one.step.outcome}") for one in failed.ended]
+    names = [(one.end, f"{node_of(one.step)} → {one.step.outcome}") for one in failed.ended]
     judge = Judge(known.knowledge, domain.percept)
     rows = {name: [i for i, n in enumerate(names) if n == name] for name in Counter(names)}
     order = sorted(rows, key=lambda name: -len(rows[name]))

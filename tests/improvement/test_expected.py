@@ -16,7 +16,7 @@ from watched import of_kind
 
 from cgtorch.evolution import REWARDS, chance_of_success
 from cgtorch.graphs import ActionSet, BranchingNN, Skill
-from cgtorch.ground.asked import Purse
+from cgtorch.ground.asked import BudgetSpentError, Purse
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
@@ -223,6 +223,18 @@ def test_it_is_the_same_after_an_interruption(
     assert [e.generation.best for e in own] == [e.generation.best for e in rest]
     last = [of_kind(events, MeanTested)[-1] for events in (whole, again)]
     assert replace(last[0], skill=last[1].skill) == last[1]
+
+
+def test_a_generation_in_which_the_time_ends_is_told_too() -> None:
+    told: list[Event] = []
+
+    def watch(event: Event) -> None:
+        told.append(event)
+        if isinstance(event, MeanTested):
+            raise BudgetSpentError("the time is over")
+
+    assert searched(setup_of(watch)).skill is not None
+    assert len(of_kind(told, GenerationDone)) == 1
 
 
 def test_who_finishes_no_episode_is_no_skill() -> None:

@@ -9,10 +9,10 @@ from members import nearly
 from reaching import TABLE, small_knowledge
 from report_pages import HOSTILE, REFERENCE, thinned, words
 
-from cgtorch.domains.failures import Explained, Failures
+from cgtorch.domains.failures import Explained, Failures, Tried
 from cgtorch.domains.pictures import Pictures
 from cgtorch.report.failure_section import FIRST, KINDS, LAST, failure_section
-from cgtorch.report.failure_words import about_kind, which_fail
+from cgtorch.report.failure_words import about_kind, title_of, which_fail
 from cgtorch.report.page import report_page
 from cgtorch.runs.stored_run import read_run
 from cgtorch.training.evaluate import evaluate_skill
@@ -51,7 +51,7 @@ def test_the_section_answers_three_questions_and_shows_each_kind(
     kinds = section.findall("article")
     assert len(kinds) == min(KINDS, len(found.kinds))
     for shown, kind in zip(kinds, found.kinds, strict=False):
-        assert f"{kind.end} at {kind.node} ({len(kind.scenarios)})" in words(shown)
+        assert f"{title_of(kind)} ({len(kind.scenarios)})" in words(shown)
         assert all(sentence in words(shown) for sentence in about_kind(found, kind, TABLE))
         rows = [*shown.iter("tr")][1:]
         steps = len(kind.way.acts)
@@ -96,7 +96,20 @@ def test_a_skill_that_solves_all_and_a_run_without_a_skill() -> None:
     assert why.found.failed == 0, "of all stages of the reference run"
     assert why.found.advice == ()
     assert which_fail(why.found)[0] == "0 of 160 scenarios fail."
-    assert which_fail(Failures("")) == ["There is no skill yet, so nothing was tried."]
+    assert which_fail(Failures("")) == [
+        "There is no skill yet that could be tried on fresh scenarios."
+    ]
+
+
+def test_kinds_without_a_skill_and_returns_are_named(why: Explained) -> None:
+    kind = replace(why.found.kinds[0], end="failure", node="Step → success")
+    titles = {(): "failure", (-3.0,): "return below the target", (float("-inf"),): "failure"}
+    for returns, title in titles.items():
+        found = title_of(replace(kind, returns=returns))
+        assert found == f"{title}, ending at Step → success"
+    tried = (Tried("near", 40, 30), Tried("left", 40, 0, made=False))
+    said = which_fail(replace(why.found, tried=tried))
+    assert "By kind: 10 of 40 near, 40 of 40 left (for which no skill was found yet)." in said
 
 
 def test_where_prediction_and_world_part_is_told_by_number_and_unit(why: Explained) -> None:

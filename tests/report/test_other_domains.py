@@ -71,7 +71,7 @@ def test_what_cannot_be_drawn_is_said(page: html.HtmlElement, rounds: StoredRun)
     stage = page.get_element_by_id("stage-1")
     known = json.loads((rounds.folder / "auto-1" / "scenarios.json").read_text())
     assert (known["W"], known["M"]) == ([], [])  # as the mean on fresh scenarios counts
-    assert "nothing was tried" in words(stage)
+    assert "no scenarios are kept, as fresh episodes decide" in words(stage)
     labels = stage.xpath(".//svg/@aria-label")
     assert len(labels) == 1
     assert labels[0].startswith("Graph of auto-1: ")

@@ -180,7 +180,16 @@ S = Searched("auto-1", 40, 20, 0.5, False, "finished")
         (replace(S, solving=0.0), "no individual solved anything", "--generations"),
         (replace(S, ended="goal", value=0.95), "its target of 0.95: raise --target", "--practice"),
         (replace(S, ended="practice", value=150), "150 fresh scenarios in a row", "--population"),
-        (replace(S, ended="limits"), "go on with --resume", "--population"),
+        (
+            replace(S, ended="limits", limits="--minutes 2"),
+            "at its limits (--minutes 2): go on with cgtorch-train --resume RUN",
+            "--population",
+        ),
+        (
+            replace(S, ended="failed", scarce=("--attempts 1 (usually 24)",)),
+            "The search had little: --attempts 1 (usually 24). Give it the usual first.",
+            "did not rise",
+        ),
         (replace(S, rising=True), "raise --generations", "--population"),
         (replace(S, ended="failed"), "raise --population", "--generations"),
         (replace(S, ended="interrupted"), "auto-1 has not come to its end", "--population"),

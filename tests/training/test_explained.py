@@ -6,11 +6,12 @@ from typing import Any
 
 import pytest
 from driven_cart import CartDriver
-from trained import Trained, copied
+from trained import Trained, copied, interrupted
 
 import cgtorch
 from cgtorch import open_run
 from cgtorch.runs.log import read_log
+from cgtorch.runs.stored_run import read_run
 from cgtorch.training.explained import background_of, explained, searched_of
 
 
@@ -77,6 +78,32 @@ def test_why_a_search_ended(more: list[dict[str, Any]], ended: tuple[str, float]
     alone = searched_of(more, "S0")
     told = ended[0] != "interrupted" or any(row["stage"] == "S0" for row in more)
     assert (alone and alone.ended) == (ended[0] if told else None)
+
+
+def test_limits_and_low_settings_are_known(trained: Trained) -> None:
+    """The small run has a population of 60 in place of 400, and so on."""
+    ended = {"event": "ended", "stage": "auto", "reached": False, "target": 0.9}
+    log = [*rows(3, 20, [0.5]), {**ended, "minutes": 0.5, "rounds": 30}]
+    found = searched_of(log, "S0")
+    assert found is not None
+    assert found.limits == "--minutes 0.5, --rounds 30"
+    run = read_run(trained.folder)
+    searched = background_of(run, run.folder / "S1").searched
+    assert searched is not None
+    assert searched.limits == ""
+    assert searched.scarce == (
+        "--generations 15 (usually 150)", "--attempts 5 (usually 24)",
+        "--population 60 (usually 400)",
+    )  # fmt: skip
+
+
+def test_kinds_of_stages_that_were_not_made_are_marked(trained: Trained, tmp_path: Path) -> None:
+    run = interrupted(trained, tmp_path / "run")
+    why = explained(run)
+    assert why is not None
+    made = {each.kind: each.made for each in why.found.tried}
+    assert made["near"]
+    assert not made["left"]
 
 
 def test_a_run_without_a_skill_and_a_run_on_a_robot(tmp_path: Path) -> None:

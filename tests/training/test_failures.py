@@ -48,7 +48,7 @@ def test_each_failure_is_of_one_kind_and_the_most_frequent_comes_first() -> None
     assert len({(kind.end, kind.node) for kind in kinds}) == len(kinds)
     for kind in kinds:
         last = kind.way.acts[-1]
-        assert kind.node == f"{last.node}: {last.outcome}"
+        assert kind.node == f"{last.node} → {last.outcome}"
         assert kind.way.end == kind.end
         assert kind.way.parts is None
         assert all(motion.predicted is None for act in kind.way.acts for motion in act.motions)
@@ -168,7 +168,7 @@ def test_files_say_the_same(tmp_path: Path) -> None:
     text = paths[0].read_text()
     assert f"{60 - SCORE.successes} of 60 scenarios fail." in text
     for number, kind in enumerate(found.kinds, 1):
-        assert f"## {number}. {kind.end} at {kind.node}\n" in text
+        assert f"## {number}. {kind.end}, ending at {kind.node}\n" in text
 
 
 def test_a_long_way_is_cut_in_the_text_and_few_failures_are_looked_at(
