@@ -104,6 +104,8 @@ class Episode:
         try:
             numbers = self.percepts.of(seen)
             finite = np.isfinite(numbers)
+        except CgtorchError:
+            raise
         except Exception as e:  # whatever Gymnasium raises for a value of another space
             raise WorldError(
                 f"{self.where} showed {kind(seen)} ({reason(e)}); make it a member of its "

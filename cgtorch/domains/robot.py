@@ -16,6 +16,7 @@ from cgtorch.ground.environment import Dataset, Episode
 from cgtorch.ground.errors import DomainError, RobotStoppedError, RunError
 from cgtorch.ground.fields import Field
 from cgtorch.ground.files import JsonLines
+from cgtorch.ground.postponed import postponed
 
 
 class ProtectiveStop(Exception):  # noqa: N818  a state of the robot, no error of the program
@@ -69,7 +70,6 @@ class Robot:
                     f"{what}; give it one"
                 )
         self._worker = ThreadPoolExecutor(1, "robot")
-        self._interrupted = False
         self._logged = episodes_in(log.rows())
         every = [each for one in self._logged for each in (*one.left, one)]
         self.actions = sum(len(each.actions) for each in every)
@@ -94,10 +94,10 @@ class Robot:
         """(1, D) the first percept of a new episode, after the scene was arranged."""
         self.episode += 1
         self._about = {"stage": stage, "phase": phase, "episode": self.episode}
-        self._call(lambda: self.driver.arrange(kind), float("inf"))
-        percept = self.look(size)
-        self._write("look", percept=_plain(percept[0]))
-        self._pause()
+        with postponed():
+            self._call(lambda: self.driver.arrange(kind), float("inf"))
+            percept = self.look(size)
+            self._write("look", percept=_plain(percept[0]))
         return percept
 
     def look(self, size: int) -> Tensor:
@@ -116,7 +116,14 @@ class Robot:
         return percept
 
     def act(self, what: str, before: Tensor, control: Tensor | None) -> bool:
-        """Whether a motion was carried out, or a test succeeded; logged before this returns."""
+        """Whether a motion was carried out, or a test succeeded; logged before this returns.
+
+        Nothing breaks it off, neither Ctrl-C nor the end of the time, as it would not be logged.
+        """
+        with postponed():
+            return self._acted(what, before, control)
+
+    def _acted(self, what: str, before: Tensor, control: Tensor | None) -> bool:
         routine = getattr(self.driver, self._routines[what])
         given = () if control is None else (tuple(control.tolist()),)
         began, error = time.monotonic(), ""
@@ -134,7 +141,6 @@ class Robot:
         if error:
             row["error"] = error
         self._write("action", what=what, seconds=round(time.monotonic() - began, 3), **row)
-        self._pause()
         return done
 
     def ended(self, succeeded: bool, percept: int, control: int) -> tuple[Dataset, Asked]:
@@ -144,17 +150,11 @@ class Robot:
         rows = [a for e in left for a in e.actions]
         return dataset_of(rows, percept, control), asked_in(left)
 
-    def _pause(self) -> None:
-        """KeyboardInterrupt if a routine of the driver was interrupted."""
-        if self._interrupted:
-            self._interrupted = False
-            raise KeyboardInterrupt
-
     def _write(self, event: str, **row: Any) -> None:
         self.log.append({"event": event, "time": round(time.time(), 3), **self._about, **row})
 
     def _call(self, routine: Callable[[], Any], seconds: float) -> Any:
-        """The result of a routine of the driver, run to its end even if someone interrupts.
+        """The result of a routine of the driver.
 
         TimeoutError after `seconds`, once the routine has ended; RobotStoppedError if the robot has
         stopped for safety.
@@ -167,8 +167,6 @@ class Robot:
                 if not late and time.monotonic() - began > seconds:
                     late = True
                     self.driver.stop()
-            except KeyboardInterrupt:
-                self._interrupted = True  # after the running motion
         try:
             result = future.result()
         except ProtectiveStop as e:

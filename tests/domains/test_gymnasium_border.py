@@ -13,6 +13,7 @@ from cgtorch.domains.gymnasium import Gymnasium, scaling_of
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import controls_of, tried
 from cgtorch.domains.registry import make_domain
+from cgtorch.ground.asked import BudgetSpentError
 from cgtorch.ground.environment import start_lanes
 from cgtorch.ground.errors import DomainError, WorldError
 
@@ -64,6 +65,20 @@ def raising(error: BaseException) -> Change:
         raise error
 
     return fail
+
+
+class Slow:
+    """An observation that is being read when the time ends."""
+
+    def __array__(self, *given: Any, **named: Any) -> Any:
+        raise BudgetSpentError("the time is over")
+
+
+def test_the_end_of_the_time_is_no_fault_of_an_environment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pytest.raises(BudgetSpentError, match=r"^the time is over$"):
+        domain_of(monkeypatch, {"seen": later(Slow())})
 
 
 class MumbledError(Exception):

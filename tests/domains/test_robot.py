@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 
 from cgtorch.domains.exploration import EXPLORATION
 from cgtorch.domains.robot import ProtectiveStop, Robot, episodes_in
-from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
 from cgtorch.ground.errors import DomainError, RobotStoppedError, RunError
 from cgtorch.ground.files import JsonLines
 from cgtorch.improvement.trial import Trial, try_skill
+from cgtorch.training.deadline import deadline
 
 
 def same(one: Trial, other: Trial) -> bool:
@@ -294,6 +295,21 @@ def test_an_interruption_waits_for_the_end_of_a_motion_and_its_line(tmp_path: Pa
     except KeyboardInterrupt:
         pytest.fail("nobody has interrupted it")
     assert done.tolist() == [True]
+
+
+def test_the_end_of_the_time_waits_for_the_end_of_a_motion_and_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is no failed action."""
+    monkeypatch.setattr("cgtorch.training.deadline.GRACE", 0.1)
+    driver = CartDriver()
+    driver.script = {1: lambda: time.sleep(0.5)}
+    world, lanes = begun(cart(tmp_path / "log", driver))
+    before = driver.place
+    with pytest.raises(BudgetSpentError), deadline(Purse(until=time.monotonic())):
+        world.step(lanes, push(0.1))
+    assert driver.place == pytest.approx(before + 0.1)
+    assert [row["done"] for row in lines(tmp_path / "log", "action")] == [True]
 
 
 @pytest.mark.usefixtures("interruptible")
