@@ -75,6 +75,7 @@ gpu: setup  ## Test all kernels on this machine's GPU, and time them
 	$(BIN)/python tools/benchmark.py --device cuda
 
 hostile: setup  ## Damage files, and kill runs, ranks and a robot's run (half an hour)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m hostile
 	$(BIN)/python tools/fuzz.py
 	$(BIN)/python tools/kill_and_resume.py "$$(mktemp --directory)"
 	$(BIN)/python tools/kill_rank.py "$$(mktemp --directory)"

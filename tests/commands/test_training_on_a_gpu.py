@@ -26,7 +26,10 @@ from cgtorch.training.device import fastest_device
 
 def quick(trained: Trained, folder: Path) -> Path:
     """A run that has its first models, and ends its stages soon."""
-    edited(copied(trained, folder, ()), {"practice": 0, "generations": 2, "attempts": 1})
+    edited(
+        copied(trained, folder, ()),
+        {"practice": 0, "generations": 2, "attempts": 1, "population": 30},
+    )
     return folder
 
 

@@ -91,6 +91,7 @@ def test_a_worker_that_hangs_or_dies_is_left(monkeypatch: pytest.MonkeyPatch) ->
     assert answers(begins + "raise SystemExit(3)") == [[1]]
 
 
+@pytest.mark.hostile
 def test_a_few_inputs_of_one_format() -> None:
     result = CliRunner().invoke(command, ["--only", "log", "--count", "12"])
     assert result.exit_code == 0, result.output
