@@ -77,6 +77,7 @@ def about_kind(found: Failures, kind: Failure, domain: Domain[Any]) -> list[str]
     causes = [f"{len(c.scenarios)} of {looked}: {CAUSES[c.name]}" for c in kind.causes]
     said.append(f"Why: {'; '.join(causes)}.")
     way, steps = kind.way, len(kind.way.acts)
+    said.append(course_of(way))
     if kind.end == "timeout" and 2 * way.still < steps and kind.causes[0].name != "limit":
         since = f"From step {way.still} on" if way.still else "In all steps"
         said.append(
@@ -85,6 +86,25 @@ def about_kind(found: Failures, kind: Failure, domain: Domain[Any]) -> list[str]
     if way.parts is not None:
         said.append(apart(way, domain.percept))
     return said
+
+
+def course_of(way: Way) -> str:
+    """What the skill did in short: its steps, what became of controls, and how often it ended so.
+
+    Controls within a skill that is a node count one by one.
+    """
+    steps = len(way.acts)
+    done = sum(len(act.motions) for act in way.acts)
+    refused = sum(act.refused is not None for act in way.acts)
+    were = "control was" if done == 1 else "controls were"
+    said = [f"In {steps} step{'s' if steps != 1 else ''} {done} {were} carried out"]
+    if refused:
+        said.append(f" and {refused} refused")
+    last = way.acts[-1]
+    same = sum((act.node, act.outcome) == (last.node, last.outcome) for act in way.acts)
+    if same > 1:
+        said.append(f"; {same} of the steps were {last.node} → {last.outcome}")
+    return "".join(said) + "."
 
 
 def apart(way: Way, fields: Fields) -> str:

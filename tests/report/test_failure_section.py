@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 from lxml import html
 from members import nearly
 from reaching import TABLE, small_knowledge
@@ -12,7 +13,7 @@ from report_pages import HOSTILE, REFERENCE, thinned, words
 from cgtorch.domains.failures import Explained, Failures, Tried
 from cgtorch.domains.pictures import Pictures
 from cgtorch.report.failure_section import FIRST, KINDS, LAST, failure_section
-from cgtorch.report.failure_words import about_kind, title_of, which_fail
+from cgtorch.report.failure_words import about_kind, course_of, title_of, which_fail
 from cgtorch.report.page import report_page
 from cgtorch.runs.stored_run import read_run
 from cgtorch.training.evaluate import evaluate_skill
@@ -99,6 +100,22 @@ def test_a_skill_that_solves_all_and_a_run_without_a_skill() -> None:
     assert which_fail(Failures("")) == [
         "There is no skill yet that could be tried on fresh scenarios."
     ]
+
+
+def test_the_course_of_a_failure_is_told_in_short(why: Explained) -> None:
+    acts = why.found.kinds[0].way.acts
+    still = replace(acts[0], node="Grasp", outcome="failure", motions=(), refused=None)
+    moving = next(a for k in why.found.kinds for a in k.way.acts if a.motions)
+    refused = replace(still, node="MoveBase", refused=torch.zeros(3))
+    way = replace(why.found.kinds[0].way, acts=(moving, refused, refused, still, moving, still))
+    done = 2 * len(moving.motions)
+    assert course_of(way) == (
+        f"In 6 steps {done} controls were carried out and 2 refused; 2 of the steps were "
+        "Grasp → failure."
+    )
+    once = replace(way, acts=(moving, still))
+    were = "1 control was" if done == 2 else f"{done // 2} controls were"
+    assert course_of(once) == f"In 2 steps {were} carried out."
 
 
 def test_kinds_without_a_skill_and_returns_are_named(why: Explained) -> None:
