@@ -1,7 +1,12 @@
 """CMA-ES (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772), with its constants.
 
-Of many parameters, only the variances are learned, as in sep-CMA-ES (Ros and Hansen, "A simple
-modification in CMA-ES achieving linear time and space complexity", PPSN 2008).
+Of many parameters, only the variances are learned, with the rates of sep-CMA-ES (Ros and Hansen, "A
+simple modification in CMA-ES achieving linear time and space complexity", PPSN 2008). There an
+update has far fewer samples than parameters, so that the worse half tells as much as the better
+one. Samples are pairs on both sides of the mean (Brockhoff et al., "Mirrored sampling and
+sequential selection for evolution strategies", PPSN 2010), and all move it, the worse ones away
+from them (Arnold, "Weighted multirecombination evolution strategies", Theoretical Computer Science
+361, 2006).
 """
 
 import math
@@ -54,10 +59,13 @@ def usual_count(parameters: int) -> int:
 
 
 def sampled(distribution: Distribution, count: int, generator: Generator) -> Tensor:
-    """(count, n) float32 samples."""
-    normal = torch.randn(count, len(distribution.mean), generator=generator).double()
-    basis, scale = axes(distribution.covariance)
-    moved = normal * scale if basis is None else (normal * scale) @ basis.T
+    """(count, n) float32 samples; where only variances are learned, the second half mirrors."""
+    n, (basis, scale) = len(distribution.mean), axes(distribution.covariance)
+    if basis is None:
+        half = torch.randn((count + 1) // 2, n, generator=generator).double()
+        moved = torch.cat([half, -half])[:count] * scale
+    else:
+        moved = (torch.randn(count, n, generator=generator).double() * scale) @ basis.T
     return (distribution.mean + distribution.step * moved).float()
 
 
@@ -71,33 +79,69 @@ def axes(covariance: Tensor) -> tuple[Tensor | None, Tensor]:
 
 def updated(distribution: Distribution, samples: Tensor, fitness: Tensor) -> Distribution:
     """The distribution after an update by samples (λ, n) and their fitness (λ,); more is better."""
-    old, n, separable = distribution, len(distribution.mean), distribution.covariance.dim() == 1
-    weights = _weights(len(samples))
-    mass = 1 / float(weights.square().sum())  # μ_eff
-    c_step = (mass + 2) / (n + mass + 5)
-    c_path = (4 + mass / n) / (n + 4 + 2 * mass / n)
-    c_one, c_many = _covariance_rates(n, mass, separable)
-    order = fitness.argsort(descending=True, stable=True)[: len(weights)]
-    steps = (samples.double()[order] - old.mean) / old.step
+    order = fitness.argsort(descending=True, stable=True)
+    steps = (samples.double()[order] - distribution.mean) / distribution.step
+    if distribution.covariance.dim() == 1:
+        return _apart(distribution, steps)
+    return _together(distribution, steps)
+
+
+def _together(old: Distribution, steps: Tensor) -> Distribution:
+    """The update of the tutorial by steps (λ, n), the best one first."""
+    weights, n = _weights(len(steps)), len(old.mean)
+    mass, steps = 1 / float(weights.square().sum()), steps[: len(weights)]  # μ_eff
+    c_path, c_one, c_many = _covariance_rates(n, mass)
     shift = weights @ steps
     basis, scale = axes(old.covariance)
-    white = shift / scale if basis is None else basis @ ((basis.T @ shift) / scale)
-    step_path = (1 - c_step) * old.step_path + math.sqrt(c_step * (2 - c_step) * mass) * white
-    usual = math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))  # E|N(0, I)|
-    length, updates = float(step_path.norm()), old.updates + 1
-    grown = math.sqrt(1 - (1 - c_step) ** (2 * updates))
-    calm = float(length / grown < (1.4 + 2 / (n + 1)) * usual)
+    assert basis is not None  # noqa: S101  as covariances are learned
+    white = basis @ ((basis.T @ shift) / scale)
+    step_path, step, length = _step_after(old, white * math.sqrt(mass), mass)
+    c_step = _step_rate(n, mass)
+    grown = math.sqrt(1 - (1 - c_step) ** (2 * (old.updates + 1)))
+    calm = float(length / grown < 1.4 + 2 / (n + 1))
     path = (1 - c_path) * old.path + calm * math.sqrt(c_path * (2 - c_path) * mass) * shift
     kept = 1 - c_one - c_many + (1 - calm) * c_one * c_path * (2 - c_path)
-    if separable:
-        rank_one, rank_many = path.square(), weights @ steps.square()
-    else:
-        rank_one, rank_many = path.outer(path), (steps.T * weights) @ steps
-    covariance = kept * old.covariance + c_one * rank_one + c_many * rank_many
+    many = (steps.T * weights) @ steps
+    covariance = kept * old.covariance + c_one * path.outer(path) + c_many * many
+    mean = old.mean + shift * old.step
+    return Distribution(mean, step, covariance, path, step_path, old.updates + 1)
+
+
+def _apart(old: Distribution, steps: Tensor) -> Distribution:
+    """The update where only variances are learned, by steps (λ, n), the best one first."""
+    weights, pull, n = _weights(len(steps)), _pull(len(steps)), len(old.mean)
+    mass = 1 / float(weights.square().sum())
+    c_path, c_one, c_many = _covariance_rates(n, mass)
+    c_one = min(1.0, c_one * (n + 2) / 3)
+    c_many = min(1 - c_one, c_many * (n + 2) / 3)
+    shift, (_, scale) = pull @ steps, axes(old.covariance)
+    # Of pairs with random ranks, it would have this variance.
+    usual = math.sqrt(float(pull.square().sum()) * len(steps) / (len(steps) - 1))
+    step_path, step, _ = _step_after(old, shift / scale / usual, mass)
+    path = (1 - c_path) * old.path + math.sqrt(c_path * (2 - c_path)) * shift / usual
+    many = weights @ steps[: len(weights)].square()
+    covariance = (1 - c_one - c_many) * old.covariance + c_one * path.square() + c_many * many
+    mean = old.mean + shift * old.step
+    return Distribution(mean, step, covariance, path, step_path, old.updates + 1)
+
+
+def _step_after(old: Distribution, white: Tensor, mass: float) -> tuple[Tensor, float, float]:
+    """The path of the step size after a shift (n,), the step size, and the path's length.
+
+    The shift would be standard normal if fitness were chance, and lengths are in units of what they
+    would be then.
+    """
+    n, c_step = len(white), _step_rate(len(white), mass)
+    path = (1 - c_step) * old.step_path + math.sqrt(c_step * (2 - c_step)) * white
+    usual = math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))  # E|N(0, I)|
+    length = float(path.norm()) / usual
     damping = 1 + 2 * max(0.0, math.sqrt((mass - 1) / (n + 1)) - 1) + c_step
-    change = (c_step / damping) * (length / usual - 1)
-    step = old.step * math.exp(min(1.0, change))
-    return Distribution(old.mean + shift * old.step, step, covariance, path, step_path, updates)
+    return path, old.step * math.exp(min(1.0, (c_step / damping) * (length - 1))), length
+
+
+def _step_rate(n: int, mass: float) -> float:
+    """The learning rate of the step size's path."""
+    return (mass + 2) / (n + mass + 5)
 
 
 def _weights(count: int) -> Tensor:
@@ -107,10 +151,21 @@ def _weights(count: int) -> Tensor:
     return weights / weights.sum()
 
 
-def _covariance_rates(n: int, mass: float, separable: bool) -> tuple[float, float]:
-    """The learning rates of the rank-one and the rank-μ update (the tutorial's table 1)."""
+def _pull(count: int) -> Tensor:
+    """(λ,) by how much samples move the mean, the best one first; their sum is 0.
+
+    They are expected values of order statistics (Blom, "Statistical Estimates and Transformed
+    Beta-Variables", 1958), whose sizes sum to 1. So steps of the mean are half as large as those by
+    the better half alone, which is better under luck.
+    """
+    place = torch.arange(count, 0, -1, dtype=torch.float64)
+    scores = torch.special.ndtri((place - 0.375) / (count + 0.25))
+    return scores / scores.abs().sum()
+
+
+def _covariance_rates(n: int, mass: float) -> tuple[float, float, float]:
+    """The rates of the path, and of the rank-one and the rank-μ update (the tutorial's table 1)."""
+    c_path = (4 + mass / n) / (n + 4 + 2 * mass / n)
     c_one = 2 / ((n + 1.3) ** 2 + mass)
     c_many = 2 * (mass - 2 + 1 / mass) / ((n + 2) ** 2 + mass)
-    if separable:
-        c_one, c_many = min(1.0, c_one * (n + 2) / 3), c_many * (n + 2) / 3
-    return c_one, min(1 - c_one, c_many)
+    return c_path, c_one, min(1 - c_one, c_many)

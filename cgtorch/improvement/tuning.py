@@ -23,6 +23,7 @@ from cgtorch.improvement.spread import MANY, Need
 MOST = 2048  # scenarios of an update
 MOST_FULL = 64  # parameters of which covariances are learned, as there are few updates
 SAMPLES = 20  # of an update at least, as luck is in what they are worth
+PARTS = 3  # smaller updates in place of one of many parameters, as each moves the mean
 FEW = 8  # random parameters from which none is better
 EVERY = 5  # updates between two races of the mean
 CONVERGED = 0.02  # step size below which samples that can be told apart need no more scenarios
@@ -81,6 +82,16 @@ class Tuning:
             return self
         mean = graph.parameters[0][tunable(graph, actions)].double()
         return replace(self, lost=0, distribution=replace(self.distribution, mean=mean))
+
+    def counted(self, before: "Tuning") -> "Tuning":
+        """The tuning after one update more than before."""
+        updates = before.distribution.updates + 1
+        return replace(self, distribution=replace(self.distribution, updates=updates))
+
+    @property
+    def apart(self) -> bool:
+        """Whether of its parameters variances only are learned."""
+        return self.distribution.covariance.dim() == 1
 
     @property
     def kind(self) -> tuple[int, ...]:
@@ -163,10 +174,34 @@ def update(
 ) -> list[tuple[Tuning, float]]:
     """The tunings after one update each, by samples that all meet the same fresh scenarios.
 
+    Of many parameters, variances only are learned, and each sample tells of few of them. There as
+    many samples are divided among several small updates that follow one another, unless a rollout
+    of all samples takes hardly longer. They count as one.
+
     If luck hides what differs between samples, the next update has more scenarios, up to `most`.
     With each tuning is returned what a transition was worth (`worth_of_transitions`).
     """
-    drawn = [_samples(each, generator) for each in tunings]
+    divides = not fresh.pace.together and all(each.apart for each in tunings)
+    parts, worths = PARTS if divides else 1, [0.0] * len(tunings)
+    after = tunings
+    for _ in range(parts):
+        found = _updated(after, actions, fresh, generator, most, parts)
+        worths = [old or new for old, (_, new) in zip(worths, found, strict=True)]
+        after = [tuning for tuning, _ in found]
+    counted = [new.counted(old) for old, new in zip(tunings, after, strict=True)]
+    return list(zip(counted, worths, strict=True))
+
+
+def _updated(
+    tunings: Sequence[Tuning],
+    actions: ActionSet,
+    fresh: Fresh,
+    generator: Generator,
+    most: int,
+    parts: int,
+) -> list[tuple[Tuning, float]]:
+    """The tunings after an update by one of so many parts of the samples."""
+    drawn = [_samples(each, parts, generator) for each in tunings]
     graphs = [
         with_parameters(each.graph, tunable(each.graph, actions), rows)
         for each, rows in zip(tunings, drawn, strict=True)
@@ -179,9 +214,9 @@ def update(
     return [_after(*about, most) for about in zip(tunings, drawn, values, lengths, strict=True)]
 
 
-def _samples(tuning: Tuning, generator: Generator) -> Tensor:
-    """(λ, n) parameters."""
-    count = max(SAMPLES, usual_count(len(tuning.distribution.mean)))
+def _samples(tuning: Tuning, parts: int, generator: Generator) -> Tensor:
+    """(λ, n) parameters, one of so many parts of what is usual."""
+    count = max(SAMPLES, usual_count(len(tuning.distribution.mean))) // parts
     return sampled(tuning.distribution, count, generator)
 
 

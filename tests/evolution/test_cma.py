@@ -1,6 +1,8 @@
 """CMA-ES against what it is known to do, and against pycma's own numbers where it is installed."""
 
 import math
+from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -95,18 +97,26 @@ def plainly(old: Distribution, x: Tensor, fitness: Tensor) -> Distribution:
     chi = math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n**2))
     C = old.covariance.numpy()
     C = np.diag(C) if separable else C
-    best = np.argsort(-fitness.numpy(), kind="stable")[:mu]
-    y = (x.double().numpy()[best] - old.mean.numpy()) / old.step
-    y_w = sum(w[i] * y[i] for i in range(mu))
+    order = np.argsort(-fitness.numpy(), kind="stable")
+    y = (x.double().numpy()[order] - old.mean.numpy()) / old.step
+    if separable:  # all samples move the mean, in proportion to expected ranks
+        m = np.array([NormalDist().inv_cdf((i - 0.375) / (lam + 0.25)) for i in range(lam, 0, -1)])
+        m = m / np.abs(m).sum()
+        y_w = sum(m[i] * y[i] for i in range(lam))
+        y_n = y_w / math.sqrt((m**2).sum() * lam / (lam - 1))
+    else:
+        y_w = sum(w[i] * y[i] for i in range(mu))
+        y_n = math.sqrt(mu_eff) * y_w
     values, B = np.linalg.eigh(C)
     root = B @ np.diag(values**-0.5) @ B.T
     p_sigma = (1 - c_sigma) * old.step_path.numpy()
-    p_sigma = p_sigma + math.sqrt(c_sigma * (2 - c_sigma) * mu_eff) * root @ y_w
+    p_sigma = p_sigma + math.sqrt(c_sigma * (2 - c_sigma)) * root @ y_n
     length = float(np.linalg.norm(p_sigma))
     step = old.step * math.exp(min(1, c_sigma / d_sigma * (length / chi - 1)))
     bound = (1.4 + 2 / (n + 1)) * chi
     h = length / math.sqrt(1 - (1 - c_sigma) ** (2 * (old.updates + 1))) < bound
-    p_c = (1 - c_c) * old.path.numpy() + h * math.sqrt(c_c * (2 - c_c) * mu_eff) * y_w
+    h = h or separable
+    p_c = (1 - c_c) * old.path.numpy() + h * math.sqrt(c_c * (2 - c_c)) * y_n
     delta = (1 - h) * c_c * (2 - c_c)
     C = (1 + c_1 * delta - c_1 - c_mu) * C + c_1 * np.outer(p_c, p_c)
     C = C + c_mu * sum(w[i] * np.outer(y[i], y[i]) for i in range(mu))
@@ -117,7 +127,7 @@ def plainly(old: Distribution, x: Tensor, fitness: Tensor) -> Distribution:
 
 
 @given(st.integers(1, 7), st.integers(0, 2**31), st.booleans(), st.sampled_from([0.1, 1.0, 9.0]))
-def test_an_update_is_that_of_the_tutorial(n: int, seed: int, full: bool, moved: float) -> None:
+def test_an_update_is_that_of_the_sources(n: int, seed: int, full: bool, moved: float) -> None:
     """After paths of any length, a long one of which stalls the rank-one update."""
     generator = seeded(seed)
     start = initial_distribution(torch.zeros(n), torch.rand(n, generator=generator) + 0.1, n * full)
@@ -132,6 +142,32 @@ def test_an_update_is_that_of_the_tutorial(n: int, seed: int, full: bool, moved:
         assert after.step == pytest.approx(wanted.step)
         assert after.updates == wanted.updates
         place = after
+
+
+def test_samples_of_many_parameters_are_pairs_on_both_sides_of_the_mean() -> None:
+    mean, deviation = torch.tensor([5.0, -3.0]), torch.tensor([1.0, 2.0])
+    apart = initial_distribution(mean, deviation, most_full=0)
+    for count in (6, 7):
+        x = sampled(apart, count, seeded(1)) - mean
+        half = (count + 1) // 2
+        assert torch.allclose(x[half:], -x[: count - half], atol=1e-6)
+        assert len(x) == count
+    together = sampled(initial_distribution(mean, deviation), 6, seeded(1)) - mean
+    assert not torch.allclose(together[3:], -together[:3], atol=0.1)
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_the_path_of_steps_keeps_its_size_where_fitness_is_chance(apart: bool) -> None:
+    n, generator = 80, seeded(2)
+    place = initial_distribution(torch.zeros(n), torch.ones(n), 0 if apart else n)
+    start = torch.randn(n, generator=generator).double()
+    place = replace(place, step_path=start)
+    lengths = []
+    for _ in range(200):
+        x = sampled(place, 6, generator)
+        place = updated(place, x, torch.rand(6, generator=generator))
+        lengths.append(float(place.step_path.square().mean()))
+    assert np.mean(lengths) == pytest.approx(1, abs=0.15)
 
 
 def test_updates_are_those_of_pycma() -> None:
