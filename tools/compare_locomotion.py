@@ -74,6 +74,7 @@ def row(folder: Path, environment: str, method: str, seed: int, steps: int) -> R
         return Row(environment, OURS, seed, mean, found["steps"], found["seconds"])
     path = folder / f"{environment}-{seed}-{method}.json"
     if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
         write_json(path, searched(environment, method, seed, steps))
     kept = read_json(path)
     return Row(environment, method, seed, kept["mean_return"], kept["steps"], kept["seconds"])

@@ -14,7 +14,6 @@ from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.spread import Need
 from cgtorch.improvement.tuning import Tuning
 
-RACING = 4  # the search plays so many times as many episodes as races
 SHARE = 6  # tuning executes so many times as many actions as generations
 
 
@@ -29,7 +28,7 @@ class Spent:
         tuned: Actions that were executed in `State.tuning`.
         rivals: Actions that were executed in tuning rivals.
         episodes: Episodes of generations and of tuning.
-        raced: Episodes of races.
+        raced: Actions that were executed in races.
     """
 
     generations: int = 0
@@ -83,10 +82,10 @@ class State:
             return replace(self, holder=holder)
         return replace(self, holder=holder, settled=False)
 
-    @property
-    def longest(self) -> int:
-        """The number of pairs that the next race may have."""
-        return (self.spent.episodes // RACING - self.spent.raced) // 2
+    def left(self, racing: int) -> float:
+        """The actions that the next race may execute, if races have one of so many."""
+        spent = self.spent
+        return (spent.searched + spent.tuned + spent.rivals) / racing - spent.raced
 
     @property
     def enough(self) -> bool:

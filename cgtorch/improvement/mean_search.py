@@ -152,11 +152,15 @@ class MeanSearch:
             values = self.fresh.of_skills([challenger], FEWEST, generator)
             finite = bool(values.isfinite().all())
             return (state.held_by(Holder(challenger)) if finite else state), finite
-        before = self.fresh.episodes
-        winner = paired_race(self.fresh, state.holder, challenger, state.longest, generator)
-        raced = state.spent.raced + self.fresh.episodes - before
+        before, left = self.fresh.executed, state.left(self.fresh.pace.racing)
+        winner = paired_race(self.fresh, state.holder, challenger, left, generator)
+        raced = state.spent.raced + self.fresh.executed - before
         state = replace(state, spent=replace(state.spent, raced=raced))
         return state.held_by(winner), winner.skill is challenger
+
+    def _affords(self, state: State) -> bool:
+        """Whether the mean of a tuning may race: its episodes may be far longer than samples'."""
+        return state.left(self.fresh.pace.racing) > 0
 
     def _tuning(self, state: State) -> Tuning | None:
         """The first tuning of the holder; None if that is of no use."""
@@ -207,7 +211,7 @@ class MeanSearch:
         """The state after an update of the holder's tuning, and a race of its mean if it is due."""
         if tuning.distribution.updates == 1:
             state = replace(state, rivals=self._with_other_toll(state, tuning))
-        if not tuning.due:
+        if not tuning.due or not self._affords(state):
             return state
         state, tuning, _ = self._mean_raced(state, tuning, generator)
         if not tuning.stalled:
@@ -243,7 +247,7 @@ class MeanSearch:
         """
         young = compared(state.rivals) and not rival.alone
         leads = self.fresh.pace.together and rival is best(state.rivals)
-        if not rival.due or (young and not leads):
+        if not rival.due or not self._affords(state) or (young and not leads):
             return state
         others = tuple(each for each in state.rivals if each is not rival)
         state, rival, won = self._mean_raced(state, rival, generator)

@@ -19,16 +19,18 @@ class Pace:
         together: Whether rivals are tuned in the same rollouts.
         ahead: What wins races is tuned so many times as much as its rivals.
         rungs: Updates after which the worse half of the rivals ends.
+        racing: The search executes so many times as many actions as races do.
     """
 
     at_once: int
     together: bool
     ahead: int
     rungs: tuple[int, int]
+    racing: int
 
 
-BY_STEP = Pace(1, False, 5, (5, 15))
-BY_ROLLOUT = Pace(8, True, 1, (60, 180))
+BY_STEP = Pace(1, False, 5, (5, 15), 8)
+BY_ROLLOUT = Pace(8, True, 1, (60, 180), 4)
 
 
 def pace_of(environment: Environment) -> Pace:

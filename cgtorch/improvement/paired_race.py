@@ -110,16 +110,17 @@ class Fresh:
 
 
 def paired_race(
-    fresh: Fresh, holder: Holder, challenger: Skill, longest: int, generator: Generator
+    fresh: Fresh, holder: Holder, challenger: Skill, budget: float, generator: Generator
 ) -> Holder:
-    """The better of two skills on up to `longest` fresh scenarios, which both meet.
+    """The better of two skills on fresh scenarios, which both meet, within a budget of actions.
 
-    Their number doubles until the challenger is surely better, or hopeless. The holder stays where
-    that remains open. Its values do not count for its mean, as it stays more often where it was
-    lucky. Of few pairs, the gain has to be larger (`student`).
+    The number of scenarios doubles until the challenger is surely better, or hopeless. The holder
+    stays where that remains open. Its values do not count for its mean, as it stays more often
+    where it was lucky. Of few pairs, the gain has to be larger (`student`). Two looks are made
+    anyway.
     """
     own, others, size = torch.zeros(0), torch.zeros(0), FIRST * fresh.pace.at_once
-    first, longest = size, max(longest, 2 * size)
+    first, before = size, fresh.executed
     while True:
         old, new = fresh.of_skills([holder.skill, challenger], size, generator)
         own, others = torch.cat([own, old]), torch.cat([others, new])
@@ -128,6 +129,8 @@ def paired_race(
         if not own.isfinite().all():
             return Holder(challenger)
         gain = (others - own).double()
+        pairs = int(budget * len(gain) / max(1, fresh.executed - before))
+        longest = max(pairs, 2 * first)
         mean, error, last = float(gain.mean()), _error(gain), len(gain) >= longest
         enough = AT_LAST if last and len(gain) >= MANY else SURE
         enough = student(enough, len(gain) - 1)

@@ -9,7 +9,6 @@ from support import same
 
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.expected_state import (
-    RACING,
     SHARE,
     Spent,
     State,
@@ -73,9 +72,10 @@ def test_enough_is_tuned_by_what_generations_have_executed() -> None:
     assert not State(spent=replace(spent, rivals=6 * SHARE - 1)).enough
 
 
-def test_races_have_a_share_of_the_episodes_two_for_each_pair() -> None:
-    spent = Spent(episodes=80 * RACING, raced=20)
-    assert State(spent=spent).longest == 30
+def test_races_have_a_share_of_all_actions() -> None:
+    spent = Spent(searched=100, tuned=60, rivals=40, raced=20)
+    assert State(spent=spent).left(4) == 30
+    assert State(spent=spent).left(10) == 0
 
 
 def test_who_wins_holds_and_may_be_tuned_again_if_it_is_another() -> None:

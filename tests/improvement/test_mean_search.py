@@ -185,7 +185,7 @@ def after_one(state: State, pace: Pace = BY_STEP, actions: ActionSet = ACTIONS) 
 
 
 HELD = Holder(staking(1.0)).met(torch.full((50,), 1.8))
-PLAYED = Spent(episodes=10**5, rivals=10)
+PLAYED = Spent(searched=10**5, rivals=10, episodes=10**5)
 
 
 def test_a_mean_that_loses_race_after_race_has_more_scenarios_or_makes_room() -> None:

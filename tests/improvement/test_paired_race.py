@@ -59,10 +59,10 @@ def test_the_first_look_is_larger_where_lanes_are_cheap() -> None:
 
 
 def winners(holder: Skill, challenger: Skill, longest: int, races: int = 60) -> int:
-    """How many races a challenger wins."""
+    """How many races of so many pairs a challenger wins; an episode is one action."""
     places = [fresh() for _ in range(races)]
     found = [
-        paired_race(place, Holder(holder), challenger, longest, seeded(number))
+        paired_race(place, Holder(holder), challenger, 2 * longest, seeded(number))
         for number, place in enumerate(places)
     ]
     for place, winner in zip(places, found, strict=True):
@@ -117,7 +117,7 @@ def test_what_is_played_tells_how_long_episodes_are() -> None:
 
 def test_a_clear_difference_is_decided_after_few_pairs() -> None:
     place = fresh(paid=True)
-    assert paired_race(place, Holder(BAD), BEST, 8 * FIRST, seeded(3)).skill is BEST
+    assert paired_race(place, Holder(BAD), BEST, 16 * FIRST, seeded(3)).skill is BEST
     assert place.episodes < 2 * 8 * FIRST
 
 

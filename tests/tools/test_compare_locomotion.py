@@ -91,15 +91,16 @@ def test_a_toll_takes_off_what_survival_gives() -> None:
 
 
 def test_the_command_compares_equal_steps_and_keeps_results(tmp_path: Path) -> None:
+    folder = tmp_path / "new"
     about = ["--only", "InvertedDoublePendulum-v5", "--seeds", "0:1", "--steps", "3000"]
-    about += ["--method", "ours", "--method", "ars"]
-    outputs = [CliRunner().invoke(tool.command, [str(tmp_path), *about]) for _ in range(2)]
+    about += ["--method", "ars", "--method", "ours"]
+    outputs = [CliRunner().invoke(tool.command, [str(folder), *about]) for _ in range(2)]
     assert [each.exit_code for each in outputs] == [0, 0], outputs[0].output
     first, second = (each.output[each.output.index("| environment") :] for each in outputs)
     assert first == second
-    kept = json.loads((tmp_path / "InvertedDoublePendulum-v5-0" / "measured.json").read_text())
+    kept = json.loads((folder / "InvertedDoublePendulum-v5-0" / "measured.json").read_text())
     assert kept["steps"] == 3000
-    other = json.loads((tmp_path / "InvertedDoublePendulum-v5-0-ars.json").read_text())
+    other = json.loads((folder / "InvertedDoublePendulum-v5-0-ars.json").read_text())
     assert 3000 <= other["steps"] < 4000
 
 
