@@ -137,6 +137,52 @@ def projected(kernel: Kernel, pivots: Tensor, x: Tensor, y: Tensor) -> tuple[Ten
     return weights, white @ turned * share.clamp_min(0).sqrt()
 
 
+@dataclass(frozen=True, eq=False)  # as tensors have no single truth value
+class Folded:
+    """Sums over inducing rows, with scaling and the linear part folded into few products.
+
+    These products are what a step of imagined episodes costs.
+
+    Attributes:
+        near: (F + 1, F) maps features and a 1 to standardised ones, in units of length scales.
+        centres: (F, m) the inducing rows in these units.
+        about: (m,) the part of the exponent that depends on inducing rows only.
+        columns: (m, C) what is summed, times the covariances with inducing rows.
+        straight: (F + 1, C) the linear part of these sums.
+    """
+
+    near: Tensor
+    centres: Tensor
+    about: Tensor
+    columns: Tensor
+    straight: Tensor
+
+    @classmethod
+    def of(
+        cls, kernel: Kernel, pivots: Tensor, mean: Tensor, scale: Tensor, columns: Tensor
+    ) -> Self:
+        """Sums of `columns` (m, C) at features that `mean` and `scale` (F,) standardise."""
+        unit, ones = affine(mean, scale), pivots.new_ones(len(pivots), 1)
+        last = torch.eye(len(unit), dtype=unit.dtype)[:, -1:]
+        weights = kernel.slope * torch.cat([pivots, ones], 1).T @ columns
+        scaled = pivots / kernel.length
+        about = -0.5 * (scaled * scaled).sum(1) + kernel.amplitude.log()
+        straight = torch.cat([unit, last], 1) @ weights
+        return cls(unit / kernel.length, scaled.T.contiguous(), about, columns, straight)
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """(n, C) sums at features and a 1 (n, F + 1)."""
+        near = x @ self.near
+        exponent = torch.addmm(self.about, near, self.centres)
+        exponent -= 0.5 * (near * near).sum(1, keepdim=True)
+        return torch.addmm(x @ self.straight, exponent.exp_(), self.columns)
+
+
+def affine(mean: Tensor, scale: Tensor) -> Tensor:
+    """(F + 1, F) what standardises features and a 1 by means and scales (F,)."""
+    return torch.cat([torch.diag(1 / scale), -(mean / scale)[None]])
+
+
 class GaussianProcess:
     """Γ from percepts (n, D) and controls (n, U) to next percepts and their standard deviations.
 
@@ -171,33 +217,19 @@ class GaussianProcess:
         self.kernel = Kernel.of(self.free)
         self.pivots = x[inducing_rows(self.kernel, x)]
         weights, known = projected(self.kernel, self.pivots, x, y)
-        self._columns = torch.cat([weights * self.spread, known], 1)
-        self._lay_out()
-
-    def _lay_out(self) -> None:
-        """Fold scaling and the linear part into few products, since these are what a step costs."""
-        kernel, c = self.kernel, self.pivots
-        (m, f), d = c.shape, len(self.shift)
-        # Standardised features, and a 1, from percepts, controls and a 1.
-        unit = torch.cat([torch.diag(1 / self.scale), -(self.mean / self.scale)[None]])
-        unit = torch.cat([unit, torch.eye(f + 1, dtype=c.dtype)[:, -1:]], 1)
-        ones = torch.ones(m, 1, dtype=c.dtype)
-        self._straight = unit @ (kernel.slope * torch.cat([c, ones], 1).T @ self._columns)
-        self._straight[:d, :d] += torch.eye(d, dtype=c.dtype)
-        self._straight[-1, :d] += self.shift
-        self._unit, self._one = unit * kernel.slope.sqrt(), ones[:1]
-        scaled = c / kernel.length
-        self._near, self._centres = unit[:, :-1] / kernel.length, scaled.T.contiguous()
-        self._about = -0.5 * (scaled * scaled).sum(1) + kernel.amplitude.log()
+        about = self.kernel, self.pivots, self.mean, self.scale
+        self._folded = Folded.of(*about, torch.cat([weights * self.spread, known], 1))
+        (f, d), unit = (len(self.mean), len(self.shift)), affine(self.mean, self.scale)
+        self._folded.straight[:d, :d] += torch.eye(d, dtype=x.dtype)
+        self._folded.straight[-1, :d] += self.shift
+        last = torch.eye(f + 1, dtype=x.dtype)[:, -1:]
+        self._slope = torch.cat([unit, last], 1) * self.kernel.slope.sqrt()
 
     def predict(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
         """Next percepts (n, D), and standard deviations (n,) in units of `spread`, all float64."""
         d = len(self.shift)
-        x = torch.cat([percept, control, self._one.expand(len(percept), 1)], 1)
-        near, slope = x @ self._near, x @ self._unit
-        exponent = torch.addmm(self._about, near, self._centres)
-        exponent -= 0.5 * (near * near).sum(1, keepdim=True)
-        out = torch.addmm(x @ self._straight, exponent.exp_(), self._columns)
+        x = torch.cat([percept.double(), control.double(), percept.new_ones(len(percept), 1)], 1)
+        out, slope = self._folded(x), x @ self._slope
         after, known = out[:, :d], out[:, d:]
         variance = self.kernel.amplitude + (slope * slope).sum(1) - (known * known).sum(1)
         return after, variance.clamp_min(0).sqrt()

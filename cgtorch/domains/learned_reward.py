@@ -21,6 +21,7 @@ from cgtorch.domains.gaussian_process import (
     AGAIN,
     MOST_ROWS,
     STEPS,
+    Folded,
     Kernel,
     first_guess,
     fitted_parameters,
@@ -166,14 +167,16 @@ class Usual:
         self.free = fitted_parameters(self.free, x[some], y[some], steps)
         self.kernel = Kernel.of(self.free)
         self.pivots = x[inducing_rows(self.kernel, x)]
-        self.weights, self._known = projected(self.kernel, self.pivots, x, y)
+        weights, self._known = projected(self.kernel, self.pivots, x, y)
+        about = self.kernel, self.pivots, self.mean, self.scale
+        self._folded = Folded.of(*about, self.spread * weights)
 
     def __call__(self, x: Tensor) -> Tensor:
         """Expected numbers (n,) at features (n, F)."""
         if self.constant:
             return torch.full((len(x),), self.shift, dtype=torch.float64)
-        rows = (x - self.mean) / self.scale
-        return self.shift + self.spread * (self.kernel(rows, self.pivots) @ self.weights)[:, 0]
+        rows = torch.cat([x, x.new_ones(len(x), 1)], 1)
+        return self.shift + self._folded(rows)[:, 0]
 
     def deviation(self, x: Tensor) -> Tensor:
         """Standard deviations (n,) at features (n, F), in units of that of all numbers."""

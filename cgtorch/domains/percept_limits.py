@@ -38,9 +38,9 @@ class Limits:
         """The possible percepts (n, D) that are nearest to given ones."""
         percept = percept.clamp(self.low.to(percept), self.high.to(percept))
         for i, j, radius in self.circles:
-            pair = percept[:, [i, j]]
-            length = pair.norm(dim=1, keepdim=True).clamp_min(1e-6 * radius)
-            percept[:, [i, j]] = radius * pair / length
+            share = radius / percept[:, i].hypot(percept[:, j]).clamp_min(1e-6 * radius)
+            percept[:, i] *= share
+            percept[:, j] *= share
         return percept
 
     def inside(self, percept: Tensor) -> Tensor:

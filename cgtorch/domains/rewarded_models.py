@@ -140,6 +140,17 @@ class Known:
         made = Known.fitted(self.models, torch.cat([self.starts, starts]), every, *free)
         return replace(made, offered=self.offered)
 
+    def most(self, steps: int) -> float:
+        """The return of an episode whose every step gives what the best one has given so far.
+
+        Learned rewards promise hardly more than that. Given rewards are known everywhere: inf.
+        """
+        if self.models.reward is not None:
+            return inf
+        best, ends = float(self.steps.reward.max()), bool(self.steps.ended.any())
+        fewest = 1 if ends else min(steps, self.models.most_steps)
+        return best * (fewest if best < 0 else min(steps, self.models.most_steps))
+
     def refused(self) -> "Known":
         """The same after a skill that was offered was not good enough."""
         return replace(self, offered=self.offered + 1)

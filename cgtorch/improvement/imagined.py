@@ -8,9 +8,9 @@
    from that. It is offered if this episode is good enough, or if the world gives what was imagined
    for it, and if it still is good enough. What an offer is worth is decided by fresh episodes after
    the stage. If that is too little, the next round is more careful.
-4. Where there is no such skill for some generations, the champion is played if models would
-   learn from it, and else a graph that is evolved to come to where Γ is unsure (an exploration
-   bonus), if there is one.
+4. Where the search makes no progress for some generations, or where no reward so far can add up to
+   what is wanted, the champion is played if models would learn from it, and else a graph that is
+   evolved to come to where Γ is unsure (an exploration bonus), if there is one.
 
 This is what PILCO does with policies of one structure (Deisenroth and Rasmussen, ICML 2011).
 """
@@ -150,7 +150,7 @@ def _recalled(
     setup, known = search.setup, progress.knowledge
     checkpoint = setup.journal.recall_checkpoint(_step(setup))
     if checkpoint is None:
-        state = search.begun(generator) if known is None else State(known)
+        state = search.begun(generator) if known is None else search.first_state(known)
         if (skill := progress.skill) is not None:
             state = replace(state, inner=replace(state.inner, holder=Holder(skill)))
         return state, _founded(setup, progress.specialists, 0)

@@ -31,10 +31,12 @@ from cgtorch.improvement.imagined_state import (
     Models,
     State,
 )
-from cgtorch.improvement.mean_search import MeanSearch
+from cgtorch.improvement.mean_search import KNOWN
+from cgtorch.improvement.pace import BY_ROLLOUT
 from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.played import OneEpisode, Steps, played, tried_out
 from cgtorch.improvement.setup import Draw, Setup
+from cgtorch.improvement.side_by_side import SideBySide
 from cgtorch.improvement.trial import first_percepts
 from cgtorch.simulation import rollout
 
@@ -73,15 +75,19 @@ class Search:
         """The return of episodes broken off after so many steps that goes with the target."""
         return self.setup.budget.satisfied * min(1.0, most_steps / self.models.most_steps)
 
-    def in_models(self, known: Known) -> MeanSearch:
+    def in_models(self, known: Known) -> SideBySide:
         """A search for the best mean of imagined episodes."""
 
         def world(count: int, generator: Generator) -> Environment:
             return known.world(count, HORIZON, generator)
 
-        budget = replace(self.setup.budget, satisfied=self.wanted(HORIZON))
+        budget = replace(self.setup.budget, satisfied=inf)  # what is enough is decided in `after`
         setup = replace(self.setup, budget=budget)
-        return MeanSearch(setup, Fresh(world, setup.max_transitions))
+        return SideBySide(setup, Fresh(world, setup.max_transitions, BY_ROLLOUT))
+
+    def first_state(self, known: Known) -> State:
+        """The state before the first generation."""
+        return State(known, self.in_models(known).first_state(None))
 
     def begun(self, generator: Generator) -> State:
         """What is known after looks and episodes of random controls."""
@@ -98,7 +104,7 @@ class Search:
             total += setup.purse.total - before
         began = time.perf_counter()
         known = self.models.learned(starts, Steps.joined(parts))
-        state = State(known).met(known, STARTS, looks).met(known, RANDOM, total)
+        state = self.first_state(known).met(known, STARTS, looks).met(known, RANDOM, total)
         summary = ModelSummary(f"{EPISODES} episodes of random controls: {known.summary()}")
         seconds = time.perf_counter() - began
         setup.watch(ModelsFitted(setup.name, replace(summary, first=True), seconds))
@@ -114,17 +120,42 @@ class Search:
         self, state: State, generation: Generation, generator: Generator
     ) -> tuple[State, bool]:
         """The state after a generation, and whether its skill is offered."""
-        search = self.in_models(state.known)
-        *_, inner = search.after(state.inner, generation, generator)
-        inner, certain = search.certain(inner, generator)
-        state = replace(state, inner=inner, waited=state.waited + 1)
-        if (
-            certain
-            and inner.holder is not None
-            and self.surely(state, inner.holder.skill, generator)
-        ):
-            return self._champion_played(state, inner.holder.skill, generator)
-        if state.waited < state.patience or self.setup.purse.late():
+        search, poor = self.in_models(state.known), self.poor(state)
+        for inner in search.after(state.inner, generation, generator):
+            state = replace(state, inner=inner)
+            if poor:  # so that nothing is tuned
+                break
+            if self.promising(state):
+                state = replace(state, inner=search.known_better(inner, SURE, generator))
+                if (holder := state.inner.holder) is not None and self.promising(state):
+                    return self._champion_played(state, holder.skill, generator)
+                break  # it was lucky, and the search goes on from what is known by now
+        state = state.waiting(self.wanted(HORIZON))
+        if state.waited < state.patience and not poor:
+            return state, False
+        return self._learned(state, generation, generator)
+
+    def poor(self, state: State) -> bool:
+        """Whether no reward so far adds up to what is wanted, while there is more to explore."""
+        return state.patience == PATIENCE and state.known.most(HORIZON) < self.wanted(HORIZON)
+
+    def promising(self, state: State) -> bool:
+        """Whether the holder is worth enough, as far as it is known, to be played in the world."""
+        holder = state.inner.holder
+        if holder is None or holder.count < KNOWN:
+            return False
+        return self._enough(state, holder.mean, holder.error * (holder.count / FRESH) ** 0.5)
+
+    def _enough(self, state: State, mean: float, error: float) -> bool:
+        """Whether a mean is as much as is wanted, beyond what chance may add on fresh episodes."""
+        cautious = min(1 + state.known.offered, MOST_CAUTIOUS)
+        return mean - self.wanted(HORIZON) >= cautious * error
+
+    def _learned(
+        self, state: State, generation: Generation, generator: Generator
+    ) -> tuple[State, bool]:
+        """The state after an episode from which the models learn, and whether it is offered."""
+        if self.setup.purse.late():
             return state, False
         state, graphs = replace(state, waited=0), generation.champion.graphs
         if self.telling(graphs, state.known, generator):
@@ -152,10 +183,8 @@ class Search:
 
     def surely(self, state: State, skill: Skill, generator: Generator) -> bool:
         """Whether enough is imagined for a skill, beyond what chance may add on fresh episodes."""
-        cautious = min(1 + state.known.offered, MOST_CAUTIOUS)
         worlds = state.known.world(SURE, HORIZON, generator)
-        mean, error = self.promised(skill.graph, worlds)
-        return mean - self.wanted(HORIZON) >= cautious * error
+        return self._enough(state, *self.promised(skill.graph, worlds))
 
     def _champion_played(
         self, state: State, skill: Skill, generator: Generator

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, replace
+from math import inf
 from typing import Any, Protocol, Self
 
 import torch
@@ -24,9 +25,11 @@ PHASES = RANDOM, CHAMPIONS, CURIOUS, STARTS = (
 """For what the world is asked."""
 KNOWN = "known."
 """Begins the names of tensors of what is known."""
-PATIENCE = 1
-"""Generations that a good champion is waited for at first, and by how many more once there is
-nothing left to explore."""
+PATIENCE = 6
+"""Generations without progress after which an episode is played to learn from it at first, and by
+how many more once there is nothing left to explore."""
+PROGRESS = 0.1
+"""How much nearer the best mean comes to the target, as a share of what it lacks, in progress."""
 
 
 class Known(Protocol):
@@ -43,6 +46,10 @@ class Known(Protocol):
     @property
     def offered(self) -> int:
         """The number of skills that were offered, and not good enough on fresh episodes."""
+        ...
+
+    def most(self, steps: int) -> float:
+        """A return that no imagined episode of so many steps exceeds; inf if none is known."""
         ...
 
     def after(self, starts: Tensor, steps: Steps) -> Self:
@@ -108,11 +115,12 @@ class State:
         known: What is known of the world.
         inner: The search for the best mean in imagined episodes.
         skill: The skill that is offered, if there is one.
-        waited: Generations since an episode in the world.
-        patience: Generations to wait for a good champion.
+        waited: Generations since an episode in the world, or since progress.
+        patience: Generations to wait for progress.
         episodes: Episodes in the world.
         asked: What the world was asked, by phase (`PHASES`).
         seed: A graph with which the search begins again next.
+        mark: The mean of the holder at the last progress with these models, -inf before.
     """
 
     known: Known
@@ -123,6 +131,7 @@ class State:
     episodes: int = 0
     asked: Mapping[str, Asked] = field(default_factory=dict)
     seed: Graphs | None = None
+    mark: float = -inf
 
     @property
     def generations(self) -> int:
@@ -140,7 +149,17 @@ class State:
         inner, episodes = self.inner, self.episodes + asked.episodes
         if inner.holder is not None:  # of which other returns are imagined by now
             inner = replace(inner, holder=Holder(inner.holder.skill))
-        return replace(self, known=known, asked=every, episodes=episodes, inner=inner, waited=0)
+        return replace(
+            self, known=known, asked=every, episodes=episodes, inner=inner, waited=0, mark=-inf
+        )
+
+    def waiting(self, target: float) -> "State":
+        """The state after a generation of a search for a mean."""
+        mean = -inf if self.inner.holder is None else self.inner.holder.mean
+        lacks = 0.0 if self.mark == -inf else abs(target - self.mark)
+        if mean > self.mark + PROGRESS * lacks:
+            return replace(self, waited=0, mark=mean)
+        return replace(self, waited=self.waited + 1)
 
 
 def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
@@ -150,6 +169,7 @@ def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
         **{f"{KNOWN}{name}": tensor for name, tensor in state.known.tensors().items()},
         **expected.tensors_of_state(state.inner, given),
         "waited": torch.tensor(counts),
+        "mark": torch.tensor(state.mark, dtype=torch.float64),
         "world": torch.tensor([astuple(state.asked.get(phase, NOTHING)) for phase in PHASES]),
     }
 
@@ -172,4 +192,5 @@ def state_from_tensors(
         rows = zip(PHASES, tensors["world"].tolist(), strict=True)
         asked = {phase: Asked(*row) for phase, row in rows}
         every = {phase: each for phase, each in asked.items() if each != NOTHING}
-        return State(known, inner, None, waited, patience, episodes, every)
+        about = waited, patience, episodes, every, None, float(tensors["mark"])
+        return State(known, inner, None, *about)

@@ -1,6 +1,7 @@
 """The steps of a search in imagined episodes: what is judged, played, explored and told."""
 
 from dataclasses import replace
+from math import inf
 from typing import Any, TypeAlias
 
 import pytest
@@ -30,10 +31,12 @@ from cgtorch.improvement.imagined_state import (
     CHAMPIONS,
     CURIOUS,
     PATIENCE,
+    PROGRESS,
     RANDOM,
     STARTS,
     State,
 )
+from cgtorch.improvement.mean_search import KNOWN
 from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.setup import Budget, Setup
 
@@ -128,18 +131,44 @@ class LongModels(GivenModels):
     most_steps = 2 * HORIZON
 
 
-def test_imagined_episodes_that_are_broken_off_need_less(begun: State) -> None:
-    inner = search_of(satisfied=8.0, kind=LongModels).in_models(begun.known)
-    assert inner.setup.budget.satisfied == 4
+def test_imagined_episodes_that_are_broken_off_need_less() -> None:
+    assert search_of(satisfied=8.0, kind=LongModels).wanted(HORIZON) == 4
 
 
-def test_the_search_in_models_wants_the_same_and_plays_what_is_imagined(begun: State) -> None:
+def test_the_search_in_models_plays_what_is_imagined_and_never_has_enough(begun: State) -> None:
     inner = search_of(satisfied=8.0).in_models(begun.known)
-    assert inner.setup.budget.satisfied == 8
+    assert inner.setup.budget.satisfied == inf
     values = inner.fresh.of_skills([told_skill(GOOD)], 60, seeded(1))[0]
     assert torch.equal(
         values, search_of().imagined(GOOD, begun.known.world(60, HORIZON, seeded(1)))
     )
+
+
+def test_a_holder_is_promising_if_enough_values_are_surely_enough(begun: State) -> None:
+    """A mean of 9 with a standard deviation of 10 has an error of 1 on 100 fresh episodes."""
+    total, squares = 9.0 * KNOWN, (100 * (KNOWN - 1) / KNOWN + 81) * KNOWN
+
+    def promising(satisfied: float, count: int = KNOWN) -> bool:
+        share = count / KNOWN
+        holder = Holder(told_skill(GOOD), total * share, squares * share, count)
+        state = replace(begun, inner=replace(begun.inner, holder=holder))
+        return search_of(satisfied=satisfied).promising(state)
+
+    assert promising(7.9)
+    assert not promising(8.1)
+    assert not promising(7.9, count=KNOWN - 1)
+    assert not search_of(satisfied=7.9).promising(begun)
+
+
+def test_a_holder_that_was_lucky_is_known_better_and_not_played(begun: State) -> None:
+    lucky = Holder(told_skill(GOOD), 20.0 * KNOWN, 400.0 * KNOWN, KNOWN)
+    search = search_of(satisfied=15.0)
+    state = replace(begun, inner=replace(begun.inner, holder=lucky), mark=inf)
+    state, offered = search.after(state, generation_of(search, begun, POOR), seeded(1))
+    assert not offered
+    assert search.setup.purse.total == Asked()
+    assert state.inner.holder is not None
+    assert state.inner.holder.count >= KNOWN + imagined_search.SURE
 
 
 def test_a_graph_promises_a_mean_with_an_error_on_fresh_episodes(begun: State) -> None:
@@ -224,23 +253,29 @@ def test_a_champion_that_the_world_disproves_is_not_offered(begun: State) -> Non
 
 def test_there_is_no_episode_before_patience_is_over(begun: State) -> None:
     search = search_of(satisfied=1e6)
-    waiting = replace(begun, patience=3, waited=1)
+    waiting = replace(begun, patience=3, waited=1, mark=inf)
     state, offered = after(search, waiting)
     assert (offered, state.waited, state.patience) == (False, 2, 3)
     assert search.setup.purse.total == Asked()
     late = search_of(satisfied=1e6)
     late.setup.purse.until = 0.0
     state, _ = late.after(
-        replace(begun, waited=9, inner=replace(begun.inner, spent=begun.inner.spent)),
+        replace(begun, waited=9, mark=inf),
         generation_of(search, begun, POOR),
         seeded(1),
     )
     assert (state.waited, late.setup.purse.total) == (10, Asked())
 
 
+@pytest.fixture
+def impatient(begun: State) -> State:
+    """A state after which nothing counts as progress."""
+    return replace(begun, patience=1, mark=inf)
+
+
 @pytest.mark.parametrize(("champion", "other"), [(True, False), (False, False), (False, True)])
 def test_what_tells_something_is_played_the_champion_first(
-    begun: State, champion: bool, other: bool, monkeypatch: pytest.MonkeyPatch
+    impatient: State, champion: bool, other: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[Event] = []
     search = search_of(satisfied=1e6, told=told)
@@ -248,11 +283,11 @@ def test_what_tells_something_is_played_the_champion_first(
     monkeypatch.setattr(Search, "telling", lambda self, graphs, *_: (
         other if same(graphs, GOOD) else champion
     ))  # fmt: skip
-    state, offered = after(search, begun)
+    state, offered = after(search, impatient)
     assert not offered
     assert state.waited == 0
     assert [each.phase for each in of_kind(told, EpisodePlayed)] == [CURIOUS] * (champion or other)
-    assert state.patience == PATIENCE + (0 if champion or other else PATIENCE)
+    assert state.patience == impatient.patience + (0 if champion or other else PATIENCE)
     if other:  # it is better than the champion
         assert state.seed is not None
         assert same(state.seed, GOOD)
@@ -261,16 +296,51 @@ def test_what_tells_something_is_played_the_champion_first(
 
 
 def test_who_explores_is_offered_if_it_reaches_the_target(
-    begun: State, monkeypatch: pytest.MonkeyPatch
+    impatient: State, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Search, "exploring", lambda *_: GOOD)
     monkeypatch.setattr(Search, "telling", lambda self, graphs, *_: same(graphs, GOOD))
-    state, offered = after(search_of(), begun)
+    state, offered = after(search_of(), impatient)
     assert offered
     assert state.skill is not None
     assert same(state.skill.graph, GOOD)
-    state, offered = after(search_of(satisfied=30.0), begun, champion=GOOD)
+    state, offered = after(search_of(satisfied=30.0), impatient, champion=GOOD)
     assert (offered, state.skill, state.seed) == (False, None, None)
+
+
+def test_nothing_is_searched_for_where_no_reward_so_far_adds_up_to_what_is_wanted(
+    begun: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[Event] = []
+    search = search_of(satisfied=11.0, told=told)
+    monkeypatch.setattr(Search, "exploring", lambda *_: GOOD)
+    monkeypatch.setattr(Search, "telling", lambda *_: True)
+    monkeypatch.setattr(type(begun.known), "most", lambda *_: 10.9)
+    state, offered = after(search, begun)
+    assert (offered, state.inner.spent.rivals) == (False, 0)
+    assert state.generations == begun.generations + 1
+    assert [each.phase for each in of_kind(told, EpisodePlayed)] == [CURIOUS]
+    monkeypatch.setattr(type(begun.known), "most", lambda *_: 11.0)
+    for begin in (begun, replace(begun, patience=2 * PATIENCE)):
+        state, _ = after(search, begin)
+        assert state.inner.spent.rivals > 0
+        monkeypatch.setattr(type(begun.known), "most", lambda *_: 10.9)
+    assert len(of_kind(told, EpisodePlayed)) == 1
+
+
+def test_progress_is_a_share_of_what_the_holder_lacks(begun: State) -> None:
+    def waits(state: State, mean: float) -> State:
+        holder = Holder(told_skill(GOOD), mean, mean**2, 1)
+        return replace(state, inner=replace(state.inner, holder=holder)).waiting(10.0)
+
+    assert begun.waiting(10.0).waited == begun.waited + 1  # without a holder
+    first = waits(begun, -10.0)
+    assert (first.waited, first.mark) == (0, -10)
+    less = waits(first, -10 + 0.9 * PROGRESS * 20)
+    assert (less.waited, less.mark) == (1, -10)
+    more = waits(less, -10 + 1.1 * PROGRESS * 20)
+    assert (more.waited, more.mark) == (0, pytest.approx(-10 + 1.1 * PROGRESS * 20))
+    assert more.met(begun.known, RANDOM, Asked()).mark == -inf
 
 
 def test_new_knowledge_makes_the_holders_values_old(begun: State) -> None:
@@ -278,7 +348,7 @@ def test_new_knowledge_makes_the_holders_values_old(begun: State) -> None:
     state = replace(begun, inner=inner, waited=4)
     again = state.met(begun.known, RANDOM, Asked(motions=5, episodes=2))
     assert again.inner.holder == Holder(inner.holder.skill if inner.holder else told_skill(GOOD))
-    assert again.waited == 0
+    assert (again.waited, again.mark) == (0, -inf)
     assert again.episodes == begun.episodes + 2
     assert again.asked[RANDOM].motions == begun.asked[RANDOM].motions + 5
     assert again.asked[STARTS] == begun.asked[STARTS]
