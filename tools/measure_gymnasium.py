@@ -1,12 +1,15 @@
 """Train skills for Gymnasium environments by one command each, and try them on fresh episodes.
 
     python tools/measure_gymnasium.py FOLDER [--only CartPole-v1] [--seeds 0:5] [--rounds 10]
+    python tools/measure_gymnasium.py FOLDER --models learned --seeds 0:10
 
 Each environment and seed is one `cgtorch-train --domain gymnasium:ENV_ID --seed N --rounds 10`, and
 then `cgtorch-evaluate --count 100 --seed 1000` of its last skill. An environment is solved if the
 mean return of these 100 fresh episodes is at least the target in `TASKS`, or Gymnasium's own
 threshold. Episodes and world steps are counted where Gymnasium plays them, in the training with all
-its tests, but not in the 100 episodes. What FOLDER holds already is not measured again; with more
+its tests, but not in the 100 episodes. With `--models learned`, the environments are those of
+`LEARNED`, and the steps of interaction are those that search and models asked the world for, tests
+not included. What FOLDER holds already is not measured again; with more
 rounds, its runs that have not reached their goals are gone on with.
 """
 
@@ -48,13 +51,21 @@ TASKS: dict[str, list[str]] = {
     "Hopper-v5": ["--target", "2800"],
     "HalfCheetah-v5": ["--target", "3300"],
 }
+LEARNED: dict[str, list[str]] = {
+    "MountainCarContinuous-v0": [],
+    "Pendulum-v1": ["--target", "-200"],
+    "examples.swing_up:CartPoleSwingUp-v0": ["--reward", "examples.swing_up:gained"],
+}
+OPTIONS = {"none": TASKS, "learned": LEARNED}
 EPISODES, FRESH_SEED = 100, 1000
-NAMES = ("environment", "seed", "mean_return", "solved", "rounds", "episodes", "steps", "seconds")
+COSTS = "interaction", "episodes", "steps", "cpu_seconds"
+NAMES = "environment", "seed", "mean_return", "solved", "rounds", *COSTS, "seconds"
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--only", multiple=True, type=click.Choice([*TASKS]), help="Of these only.")
+@click.option("--models", default="none", type=click.Choice([*OPTIONS]), help="Of cgtorch-train.")
+@click.option("--only", multiple=True, type=click.Choice([*TASKS | LEARNED]), help="Of these only.")
 @seeds_option("0:5")
 @click.option("--rounds", default=10, show_default=True, help="The most rounds of a run.")
 @click.option("--minutes", default=1000.0, show_default=True, help="The most minutes of a run.")
@@ -62,6 +73,7 @@ NAMES = ("environment", "seed", "mean_return", "solved", "rounds", "episodes", "
 @click.option("--jobs", default=1, show_default=True, help="Runs side by side.")
 def command(
     folder: Path,
+    models: str,
     only: tuple[str, ...],
     seeds: range,
     rounds: int,
@@ -70,14 +82,18 @@ def command(
     jobs: int,
 ) -> None:
     """Train skills for Gymnasium environments and try them on fresh episodes."""
-    work = [(environment, seed) for environment in only or TASKS for seed in seeds]
+    if others := set(only) - set(OPTIONS[models]):
+        raise click.UsageError(f"{', '.join(sorted(others))} is not among those of {models} models")
+    work = [(environment, seed) for environment in only or OPTIONS[models] for seed in seeds]
     # One process for each run: the counters and the CPU seconds are its own.
     pool = ProcessPoolExecutor(
         jobs, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1
     )
     with pool:
         results = list(
-            pool.map(partial(measured, folder, rounds, minutes, steps), *zip(*work, strict=True))
+            pool.map(
+                partial(measured, folder, models, rounds, minutes, steps), *zip(*work, strict=True)
+            )
         )
     write_json(folder / "results.json", results)
     click.echo(table(results))
@@ -85,10 +101,16 @@ def command(
 
 
 def measured(
-    folder: Path, rounds: int, minutes: float, steps: int | None, environment: str, seed: int
+    folder: Path,
+    models: str,
+    rounds: int,
+    minutes: float,
+    steps: int | None,
+    environment: str,
+    seed: int,
 ) -> dict[str, Any]:
     """One environment and seed; a run that has made fewer rounds before is gone on with."""
-    run = folder / f"{environment}-{seed}"
+    run = folder / f"{environment.rpartition(':')[2]}-{seed}"
     kept = run / "measured.json"
     if not kept.is_file():  # what it has cost so far is not known
         shutil.rmtree(run, ignore_errors=True)
@@ -98,7 +120,8 @@ def measured(
         known = run.is_dir()
         limits = ["--rounds", str(rounds), "--minutes", str(minutes)]
         about = [*limits, "--processes", "1", "--quiet"]  # in which steps are counted
-        new = ["--domain", f"gymnasium:{environment}", "--seed", str(seed), *TASKS[environment]]
+        new = ["--domain", f"gymnasium:{environment}", "--seed", str(seed), "--models", models]
+        new += OPTIONS[models][environment]
         words = [*about, "--resume", str(run)] if known else [*new, *about, "--run-dir", str(run)]
         counts = counted(partial(train, words, standalone_mode=False), left)
         total = {name: before.get(name, 0) + value for name, value in counts.items()}
@@ -106,8 +129,10 @@ def measured(
     wanted = read_json(run / "gymnasium.json")["target_return"]
     found = read_json(kept)
     solved = found["mean_return"] is not None and found["mean_return"] >= wanted
-    made = len(_ends(run, "result"))
-    origin = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": made}
+    results = _ends(run, "result")
+    asked = results[-1]["asked"].values() if results else []
+    origin = {"environment": environment, "seed": seed, "wanted": wanted, "rounds": len(results)}
+    origin["interaction"] = sum(each["motions"] for each in asked)
     return {**origin, "solved": solved, **found}
 
 
@@ -202,12 +227,12 @@ def table(results: list[dict[str, Any]]) -> str:
 
 def summary(results: list[dict[str, Any]]) -> str:
     """A row for each environment: how many seeds have solved it, and medians."""
-    lines = ["", "| environment | solved | mean return | episodes | world steps | CPU s |"]
-    lines.append("|" + "---|" * 6)
+    lines = ["", "| environment | solved | mean return | " + " | ".join(COSTS) + " |"]
+    lines.append("|" + "---|" * (3 + len(COSTS)))
     for name in dict.fromkeys(found["environment"] for found in results):
         rows = [found for found in results if found["environment"] == name]
         solved = f"{sum(found['solved'] for found in rows)} of {len(rows)}"
-        keys = ("mean_return", "episodes", "steps", "cpu_seconds")
+        keys = "mean_return", *COSTS
         middle = [_plain(_median([found[key] for found in rows])) for key in keys]
         lines.append("| " + " | ".join([name, solved, *middle]) + " |")
     return "\n".join(lines)
