@@ -26,7 +26,7 @@ SECONDS, STEPS, PARTS = 0.1, 40, 5  # of a step, steps of an episode, integrated
 SPREAD, NOISE = 0.1, 0.01  # standard deviations of first states and of what is observed
 WIDTH = 0.25  # m from the goal at which a step gives 61 % of what it gives there
 LAST, NEAR, UPRIGHT = 10, 0.1, pi / 18  # steps of the last second; m and rad off in a success
-SOLVED = 24.0
+SOLVED = 20.0  # the return of an episode whose tip is at its goal for 2 of the 4 seconds
 
 Numbers = NDArray[np.float64]
 

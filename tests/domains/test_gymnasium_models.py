@@ -1,15 +1,18 @@
 """Γ of Gymnasium environments: what actions count for, bounds, scaling and given rewards."""
 
+import math
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from support import seeded
 
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.registry import full_name, with_name
 from cgtorch.ground.errors import CgtorchError, DomainError, SettingsError
+from cgtorch.improvement.played import Steps
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -107,6 +110,32 @@ def test_given_rewards_are_code_that_the_name_of_the_domain_tells(mine: str) -> 
         GymnasiumSettings("Pendulum-v1", reward="nothing")
     with pytest.raises(DomainError, match="cannot import reward"):
         models_of("Pendulum-v1", target_return=-200.0, reward=f"{mine}:missing")
+
+
+def steps_of(rewards: list[float], ended: bool) -> Steps:
+    """Steps of a pendulum at random, the last of which may end its episode."""
+    n, g = len(rewards), seeded(0)
+    percept, after = (torch.randn(n, 3, generator=g) for _ in range(2))
+    ends = torch.arange(n) == n - 1 if ended else torch.zeros(n, dtype=torch.bool)
+    return Steps(
+        percept, torch.rand(n, 1, generator=g), after, torch.tensor(rewards).double(), ends
+    )
+
+
+def test_learned_rewards_promise_no_more_than_the_best_of_them_in_each_step(mine: str) -> None:
+    models = models_of("Pendulum-v1", target_return=-200.0)
+    cases = [
+        ([-3.0, -1.5, -2.0], False, 10, -15.0),
+        ([-3.0, -1.5, -2.0], False, 1000, -300.0),  # an episode has 200 steps
+        ([-3.0, -1.5, -2.0], True, 10, -1.5),  # it may end at once
+        ([-3.0, 1.5, -2.0], True, 10, 15.0),
+        ([-3.0, 0.0, -2.0], False, 10, 0.0),
+    ]
+    for rewards, ended, steps, most in cases:
+        known = models.learned(torch.zeros(1, 3), steps_of(rewards, ended))
+        assert known.most(steps) == most
+    given = models_of("Pendulum-v1", target_return=-200.0, reward=f"{mine}:pendulum")
+    assert given.learned(torch.zeros(1, 3), steps_of([-3.0, -1.0], False)).most(10) == math.inf
 
 
 def test_percepts_of_many_numbers_are_refused() -> None:
