@@ -35,7 +35,7 @@ def test_models_choose_what_is_trained(
     run, wanted = tmp_path / "Pendulum-v1-3", list[list[str]]()
     asked = {"starts": {"motions": 5}, "champions": {"motions": 7}}
 
-    def counted(training: Any) -> dict[str, float]:
+    def counted(training: Any, most: int | None) -> dict[str, float]:
         wanted.append(training.args[0])
         run.mkdir()
         write_json(run / "gymnasium.json", {"target_return": -200.0})
@@ -47,7 +47,7 @@ def test_models_choose_what_is_trained(
     monkeypatch.setattr(tool, "counted", counted)
     monkeypatch.setattr(tool, "_tried", lambda run: {"mean_return": -100.0})
     monkeypatch.setattr(tool, "_ends", ends)
-    found = tool.measured(tmp_path, models, 3, 1.5, "Pendulum-v1", 3)
+    found = tool.measured(tmp_path, models, 3, 1.5, None, "Pendulum-v1", 3)
     (words,) = wanted
     assert words[words.index("--models") + 1] == models
     assert words[words.index("--target") + 1] == "-200"
