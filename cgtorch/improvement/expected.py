@@ -92,8 +92,11 @@ def improve_expected(
                 for state in search.after(state, generation, generator):  # noqa: B020  it follows
                     _tell(setup, state, before)
                     before = state.holder
-                state, certain = search.certain(state, generator)
-                over = setup.purse.late()
+                    if setup.purse.late():
+                        break
+                else:
+                    state, certain = search.certain(state, generator)
+                    over = setup.purse.late()
             now = time.perf_counter()
             counts = solved_of(generation.succeeded, torch.zeros_like(generation.succeeded))
             done = generation, limit, now - began

@@ -144,7 +144,9 @@ def test_it_ends_after_its_generations_and_when_the_time_is_over() -> None:
 
     assert searched(setup_of(watch, purse=late)).skill is not None
     assert settled == [False, True]  # from then on no alarm interrupts it
-    assert len(of_kind(told, GenerationDone)) == 1
+    (generation,) = of_kind(told, GenerationDone)
+    played = of_kind(told, MeanTested)[-1].episodes
+    assert played == generation.generation.scores.numel(), "nothing was tuned after the time"
 
 
 def test_what_is_found_is_told_with_its_result_on_the_tests() -> None:
