@@ -17,6 +17,7 @@ from watched import of_kind
 from cgtorch.evolution import REWARDS, chance_of_success
 from cgtorch.graphs import ActionSet, BranchingNN, Skill
 from cgtorch.ground.asked import BudgetSpentError, Purse
+from cgtorch.improvement import mean_search
 from cgtorch.improvement.events import (
     Event,
     EvolutionRecalled,
@@ -30,6 +31,7 @@ from cgtorch.improvement.pace import BY_ROLLOUT
 from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.improvement.spread import FEWEST
 from cgtorch.improvement.trial import try_skill
+from cgtorch.improvement.tuning import update
 from cgtorch.runs.journal import FileJournal
 
 SMALL = replace(REWARDS, population=24, initial_nodes=(1, 2), capacity=6)
@@ -144,9 +146,26 @@ def test_it_ends_after_its_generations_and_when_the_time_is_over() -> None:
 
     assert searched(setup_of(watch, purse=late)).skill is not None
     assert settled == [False, True]  # from then on no alarm interrupts it
-    (generation,) = of_kind(told, GenerationDone)
-    played = of_kind(told, MeanTested)[-1].episodes
-    assert played == generation.generation.scores.numel(), "nothing was tuned after the time"
+    assert len(of_kind(told, GenerationDone)) == 1
+
+
+def test_nothing_is_tuned_after_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    tuned = list[int]()
+
+    def counted(*about: Any) -> Any:
+        tuned.append(1)
+        return update(*about)
+
+    monkeypatch.setattr(mean_search, "update", counted)
+    searched(setup_of(ignored, budget=Budget(1)))
+    assert len(tuned) > 1
+    tuned.clear()
+    searched(setup_of(ignored, budget=Budget(1), purse=Purse(until=time.monotonic())))
+    assert len(tuned) <= 1
+
+
+def ignored(event: Event) -> None:
+    """Nobody watches."""
 
 
 def test_what_is_found_is_told_with_its_result_on_the_tests() -> None:
