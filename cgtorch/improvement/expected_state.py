@@ -28,7 +28,7 @@ class Spent:
         tuned: Actions that were executed in `State.tuning`.
         rivals: Actions that were executed in tuning rivals.
         episodes: Episodes of generations and of tuning.
-        raced: Actions that were executed in races.
+        raced: Actions that were executed in races, and to know the mean of the holder.
     """
 
     generations: int = 0

@@ -142,9 +142,10 @@ class MeanSearch:
         holder = state.holder
         if holder is None or (number % OFTEN and holder.count):
             return state
-        count = max(KNOWN, state.need.scenarios)
+        count, before = max(KNOWN, state.need.scenarios), self.fresh.executed
         values = self.fresh.of_skills([holder.skill], count, generator)[0]
-        return replace(state, holder=holder.met(values))
+        raced = state.spent.raced + self.fresh.executed - before
+        return replace(state, holder=holder.met(values), spent=replace(state.spent, raced=raced))
 
     def _raced(self, state: State, challenger: Skill, generator: Generator) -> tuple[State, bool]:
         """The state after a race, and whether the challenger has won it."""

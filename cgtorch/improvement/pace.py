@@ -19,7 +19,7 @@ class Pace:
         together: Whether rivals are tuned in the same rollouts.
         ahead: What wins races is tuned so many times as much as its rivals.
         rungs: Updates after which the worse half of the rivals ends.
-        racing: The search executes so many times as many actions as races do.
+        racing: The search executes so many times as many actions as races and their winners' tests.
     """
 
     at_once: int

@@ -64,7 +64,11 @@ def test_a_generation_is_counted_and_its_champion_is_the_first_holder() -> None:
     generation = generation_of(search)
     first, *later = search.after(State(), generation, seeded(1))
     assert first.spent == Spent(
-        1, generation.transitions, generation.executed, episodes=generation.scores.numel()
+        1,
+        generation.transitions,
+        generation.executed,
+        episodes=generation.scores.numel(),
+        raced=max(KNOWN, first.need.scenarios),  # an action for each value of the holder
     )
     assert first.holder is not None
     assert same(first.holder.skill.graph, search.skill_of(generation.champion.graphs).graph)
@@ -207,6 +211,20 @@ def test_a_mean_that_loses_race_after_race_has_more_scenarios_or_makes_room() ->
     state = after_one(State(HELD, before, (rival,), spent=PLAYED))
     assert state.tuning is not None
     assert state.tuning.lost == PATIENCE - 1
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_mean_does_not_race_before_races_have_their_share_again(held: bool) -> None:
+    one = tuned(staking(1.0), updates=EVERY - 1)
+    holder = Holder(staking(-1.0)).met(torch.full((50,), 0.2))
+    raced = replace(PLAYED, raced=10**5)
+    parts = (one, (tuned(staking(0.0), updates=1),)) if held else (None, (one,))
+    state = after_one(State(holder, *parts, settled=not held, spent=raced))
+    assert state.holder is not None
+    assert state.holder.skill is holder.skill
+    after = state.tuning if held else state.rivals[0]
+    assert after is not None
+    assert (after.distribution.updates, after.lost) == (EVERY, 0)
 
 
 def test_a_rival_whose_mean_wins_is_tuned_as_the_best() -> None:

@@ -10,12 +10,15 @@ from torch import Generator, Tensor
 
 from cgtorch.graphs import ActionSet, Graphs, LinearNN
 from cgtorch.ground.environment import Environment
+from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP, Pace
 from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.tuning import (
     DOUBTFUL,
     EVERY,
     FEW,
     MOST,
+    MOST_FULL,
+    PARTS,
     PATIENCE,
     RELATIVE,
     SAMPLES,
@@ -115,6 +118,32 @@ class Indifferent(Fresh):
         values, lengths = super().played(graphs, actions, world)
         far = graphs.parameters[:, 0].abs().amax(1) > 1000
         return torch.where(far[:, None], values, torch.zeros_like(values)), lengths
+
+
+def wide_tuning(pace: Pace) -> tuple[Tuning, ActionSet, Fresh]:
+    """A tuning of one parameter more than those of which covariances are learned."""
+    actions = ActionSet(("Linear", *ACTIONS.names), (LinearNN(2, 22), *ACTIONS.actions))
+    graph = Graphs(
+        torch.zeros(1, 1).long(), torch.full((1, 1, 2), -1), torch.zeros(1, 1, 66),
+        torch.zeros(1).long(),
+    )  # fmt: skip
+    found = begun(graph, actions, 2)
+    assert found is not None
+    assert len(found.distribution.mean) == 66 > MOST_FULL
+    return found, actions, replace(fresh(), pace=pace)
+
+
+@pytest.mark.parametrize(("pace", "parts"), [(BY_STEP, PARTS), (BY_ROLLOUT, 1)])
+def test_an_update_of_many_parameters_is_divided_where_steps_count(pace: Pace, parts: int) -> None:
+    tuning, actions, place = wide_tuning(pace)
+    assert tuning.apart
+    [(after, _)] = update([tuning], actions, place, seeded(0))
+    assert place.episodes == 2 * parts * (SAMPLES // parts)
+    assert len(after.recent) == parts
+    assert after.distribution.updates == 1
+    few = begun(staking(0.5).graph, ACTIONS, 2)
+    assert few is not None
+    assert not few.apart
 
 
 def test_steps_grow_on_a_plateau_up_to_a_limit() -> None:
