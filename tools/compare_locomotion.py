@@ -69,7 +69,7 @@ def command(
 def row(folder: Path, environment: str, method: str, seed: int, steps: int) -> Row:
     """One search, or what the folder holds of it."""
     if method == OURS:
-        found = measured(folder, 10, 1000.0, steps, environment, seed)
+        found = measured(folder, "none", 10, 1000.0, steps, environment, seed)
         mean = -inf if found["mean_return"] is None else found["mean_return"]
         return Row(environment, OURS, seed, mean, found["steps"], found["seconds"])
     path = folder / f"{environment}-{seed}-{method}.json"
