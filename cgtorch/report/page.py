@@ -101,6 +101,7 @@ def _context(contents: Contents) -> dict[str, Any]:
         "about": run.pictures.about(),
         "stages": stage_sections(run, contents.stages),
         "results": [stage.result for stage in contents.stages],
+        "by_mean": any(stage.result.get("mean_holds") is not None for stage in contents.stages),
         "asked": _asked_by_phase(contents),
         "usual": run.kind == domain.kinds[0],
         "film": film,
@@ -147,11 +148,12 @@ def _film(contents: Contents) -> tuple[str, list[str]]:
 def _asked_by_phase(contents: Contents) -> list[tuple[Any, ...]]:
     """What was asked: phase, motions, tests, looks and episodes, and their sums.
 
-    In worlds of low-level steps, also those requested, and those that were simulated.
+    In worlds of low-level steps, also those requested, and those that were simulated. Where nothing
+    is counted, there is no row.
     """
-    if not contents.stages:
+    spent = contents.stages[-1].result["asked"] if contents.stages else {}
+    if not spent:
         return []
-    spent = contents.stages[-1].result["asked"]
     rows = [(phase, *(asked[name] for name in ASKED)) for phase, asked in spent.items()]
     sums = ("all", *(sum(row[i] for row in rows) for i in range(1, 1 + len(ASKED))))
     columns = len(sums) if sums[-1] else len(sums) - 2

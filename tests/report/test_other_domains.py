@@ -64,7 +64,7 @@ def test_nobody_else_is_beside_the_run(page: html.HtmlElement, result: dict[str,
     assert "overall" not in page.xpath("//@id")
     said = " ".join(words(page.get_element_by_id(name)) for name in ("results", "stages"))
     assert "published" not in said
-    assert f"{result['targets_succeeded']} of {result['targets']} to solve, solved now" in said
+    assert f"is the mean return of {result['fresh']['tried']} fresh episodes" in said
 
 
 def test_what_cannot_be_drawn_is_said(page: html.HtmlElement, rounds: StoredRun) -> None:
@@ -83,6 +83,15 @@ def test_returns_are_told(page: html.HtmlElement, result: dict[str, Any]) -> Non
     assert cards["Mean return"] == f"{mean:.5g} of fresh episodes"
     facts = words(page.get_element_by_id("stage-1"))
     assert f"mean return {result['fresh']['mean_return']:.5g}" in facts
+
+
+def test_what_does_not_count_where_means_do_is_left_out(page: html.HtmlElement) -> None:
+    """Nothing is kept in W and M, and the world counts nothing."""
+    said = words(page.find(".//body"))
+    assert "judged by the mean of fresh episodes" in said
+    assert "is the mean return of" in words(page.get_element_by_id("stage-1"))
+    for other in ("Forgotten", "accepted only if", "(eq. 1a)", "(eq. 1b)", "What was asked of"):
+        assert other not in said
 
 
 def test_it_was_searched_in_the_world(page: html.HtmlElement) -> None:
