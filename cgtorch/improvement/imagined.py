@@ -93,16 +93,22 @@ def improve_imagined(
             generation = next(generations)
             _record(setup, progress, state, generation)
             generator = derived_generator(own, 2 * state.generations + 2)
-            state, offered = search.after(state, generation, generator)
+            over = True
+            with suppress(BudgetSpentError):  # so that the generation is told in any case
+                state, offered = search.after(state, generation, generator)
+                over = False
             now = time.perf_counter()
             counts = solved_of(generation.succeeded, torch.zeros_like(generation.succeeded))
             done = generation, limit, now - began
             began = now
             setup.watch(GenerationDone(setup.name, setup.name, *counts, *done))
+            if over:
+                break
             if state.seed is not None:
                 islands = _founded(setup, _alone(state.seed), state.generations)
                 generations = evolve(*about, islands=islands, **how)
                 state = replace(state, seed=None)
+    setup.purse.settled = True  # so that no alarm breaks off what is told
     skill = state.skill
     if skill is None and state.inner.holder is not None:
         skill = state.inner.holder.skill

@@ -14,7 +14,7 @@ from watched import of_kind
 
 from cgtorch.evolution import REWARDS
 from cgtorch.graphs import Skill
-from cgtorch.ground.asked import Purse
+from cgtorch.ground.asked import BudgetSpentError, Purse
 from cgtorch.improvement.events import (
     EpisodePlayed,
     Event,
@@ -25,7 +25,7 @@ from cgtorch.improvement.events import (
     SkillAccepted,
 )
 from cgtorch.improvement.imagined import improve_imagined
-from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT
+from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT, Search
 from cgtorch.improvement.played import OneEpisode, tried_out
 from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.improvement.trial import try_skill
@@ -123,6 +123,22 @@ def test_it_ends_with_its_budget_and_its_time_and_keeps_a_skill() -> None:
     before = after.knowledge.steps.percept  # nothing begins anew
     assert torch.equal(again.knowledge.steps.percept[: len(before)], before)
     assert not of_kind(told, ModelsFitted)
+
+
+def test_a_generation_in_which_the_time_ends_is_told_and_no_alarm_rings_then(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def late(*about: Any) -> Any:
+        raise BudgetSpentError("the time is over")
+
+    monkeypatch.setattr(Search, "after", late)
+    told: list[Event] = []
+    purse = Purse()
+    after = searched(setup_of(told.append, purse=purse))
+    assert after.knowledge is not None
+    assert after.skill is None
+    assert len(of_kind(told, GenerationDone)) == 1
+    assert purse.settled
 
 
 @pytest.mark.parametrize("number", [1, 7])
