@@ -39,7 +39,7 @@ train: setup  ## Evolve a skill up to stage S2 (ten seconds)
 check: lint  ## Lint, then the fast tests: less than a minute, for every change
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(FAST)
 
-test: setup  ## Run all tests (9 to 12 minutes on two cores)
+test: setup  ## Run all tests (10 to 19 minutes on two cores)
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 durations: setup  ## Run all tests, and print the 40 slowest
