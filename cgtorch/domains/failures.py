@@ -1,6 +1,7 @@
 """Why a skill fails, as data: kinds of failure with their causes, and what follows from them."""
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 from torch import Tensor
@@ -87,6 +88,7 @@ class Searched:
         imagined: The most scenarios that an individual solved where it was evolved, of how many.
         met: How many episodes in the world succeeded, of how many.
         limits: The limits of the training, such as "--minutes 2".
+        best: The largest fitness of an individual, -inf if none had any.
         scarce: Settings that are far below the usual ones, such as "--attempts 1 (usually 24)".
     """
 
@@ -100,6 +102,7 @@ class Searched:
     imagined: tuple[int, int] = (0, 0)
     met: tuple[int, int] = (0, 0)
     limits: str = ""
+    best: float = -inf
     scarce: tuple[str, ...] = ()
 
 

@@ -192,8 +192,9 @@ def about_search(searched: Searched | None) -> list[str]:
         said.append(f"The search had little: {', '.join(s.scarce)}. Give it the usual first.")
     elif s.generations and not s.solving:
         return [
-            f"In {s.generations} generations no individual solved anything, so more of them, or a "
-            "larger --population, will hardly help. Give the search a way to begin: scenarios "
+            f"In {s.generations} generations no individual solved anything (the best fitness is "
+            f"{s.best:.3g}), so more of them, or a larger --population, will hardly help. Give the "
+            "search a way to begin: scenarios "
             "nearer to success (--scenarios, stages), rewards for progress, or actions that do "
             "more (--actions)."
         ]

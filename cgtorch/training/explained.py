@@ -1,6 +1,7 @@
 """Why the last skill of a run fails, from the run's folder alone."""
 
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +130,7 @@ def searched_of(log: list[Row], stage: str) -> Searched | None:
         imagined=max(sizes),
         met=(sum(row["succeeded"] for row in met), sum(row["episodes"] for row in met)),
         limits=_limits(log),
+        best=max((row["best"] for row in rows if row["best"] is not None), default=-inf),
     )
 
 

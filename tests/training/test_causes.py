@@ -177,7 +177,11 @@ S = Searched("auto-1", 40, 20, 0.5, False, "finished")
 @pytest.mark.parametrize(
     ("searched", "told", "untold"),
     [
-        (replace(S, solving=0.0), "no individual solved anything", "--generations"),
+        (
+            replace(S, solving=0.0, best=0.125),
+            "anything (the best fitness is 0.125)",
+            "--generations",
+        ),
         (replace(S, ended="goal", value=0.95), "its target of 0.95: raise --target", "--practice"),
         (replace(S, ended="practice", value=150), "150 fresh scenarios in a row", "--population"),
         (

@@ -54,6 +54,7 @@ def test_fitness_rises_where_it_is_still_better_in_the_last_quarter(
     found = searched_of(rows(count, 20, best), "S0")
     assert found is not None
     assert found.rising == rising
+    assert found.best == 0.4
 
 
 @pytest.mark.parametrize(
