@@ -188,7 +188,7 @@ def about_search(searched: Searched | None) -> list[str]:
     if searched is None:
         return ["Go on training, with more --generations or a larger --population."]
     s, said = searched, []
-    if s.scarce:
+    if s.scarce and s.ended not in ("goal", "practice"):
         said.append(f"The search had little: {', '.join(s.scarce)}. Give it the usual first.")
     elif s.generations and not s.solving:
         return [

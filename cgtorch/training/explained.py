@@ -45,11 +45,9 @@ def explained(run: StoredRun) -> Explained | None:
         _, missed = load_scenarios(folder / "scenarios.json", run.like())
         if len(missed):
             scores[MISSED] = try_on(skill, run.domain, missed[-KNOWN:])
-    unmade = {kind for name, kind in run.domain.stages.items() if name not in run.stages}
-    unmade -= {run.domain.stages[name] for name in run.stages if name in run.domain.stages}
-    unmade -= {run.kind} if run.rounds else set()
+    made = {MISSED, *(run.domain.stages.get(name, run.kind) for name in run.stages)}
     tried = tuple(
-        Tried(kind, each.tried, each.successes, kind not in unmade) for kind, each in scores.items()
+        Tried(kind, each.tried, each.successes, kind in made) for kind, each in scores.items()
     )
     score = joined([*scores.values()])
     found = failures_of(skill, run.domain, score, background_of(run, folder, log), tried)

@@ -183,6 +183,11 @@ S = Searched("auto-1", 40, 20, 0.5, False, "finished")
             "--generations",
         ),
         (replace(S, ended="goal", value=0.95), "its target of 0.95: raise --target", "--practice"),
+        (
+            replace(S, ended="goal", value=0.95, scarce=("--attempts 1 (usually 24)",)),
+            "its target of 0.95: raise --target",
+            "had little",
+        ),
         (replace(S, ended="practice", value=150), "150 fresh scenarios in a row", "--population"),
         (
             replace(S, ended="limits", limits="--minutes 2"),
