@@ -16,7 +16,7 @@ from cgtorch.ground.errors import RunError, SettingsError, WorldError
 from cgtorch.native import rank_processes
 from cgtorch.native.rank_processes import end_others, in_ranks, others_started
 
-SOON = 15  # s, far less than what the processes would take
+SOON = 45  # s, far less than what the processes would take
 
 ENDLESS = """
 import os, time, torch
