@@ -24,7 +24,7 @@ from cgtorch.evolution.population import STRATEGY, Population, join, slim
 from cgtorch.evolution.racing import race
 from cgtorch.evolution.selection import Evaluated
 from cgtorch.evolution.settings import EvolutionSettings, check_parts
-from cgtorch.graphs import ActionSet, Graphs, SubSkill, check_action, widened
+from cgtorch.graphs import Action, ActionSet, Graphs, SubSkill, check_action, widened
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.dry_run import check_environment
 from cgtorch.ground.environment import Counting, Environment
@@ -162,25 +162,33 @@ def evolve(
             evaluation = about(environment=fresh, keep=keep.new_zeros(fresh.num_scenarios))
 
 
-_tried: WeakKeyDictionary[ActionSet, set[type]] = WeakKeyDictionary()
-"""The kinds of environments in which actions were tried, where low-level steps are counted."""
+_tried: WeakKeyDictionary[Action, set[tuple[type, int, int]]] = WeakKeyDictionary()
+"""Kinds of environments in which actions were tried, with sizes of their percepts and controls."""
 
 
 def _dry_run(
     environment: Environment, actions: ActionSet, settings: EvolutionSettings, device: torch.device
 ) -> None:
-    """Try all parts on two rows; where low-level steps are counted, only once, and only others'."""
-    kinds, counts = _tried.setdefault(actions, set()), isinstance(environment, Counting)
-    if type(environment) in kinds:
+    """Try all parts on two rows, and an action only once in environments of a kind.
+
+    Where low-level steps are counted, the whole is tried once, and only actions of others are.
+    """
+    counts = isinstance(environment, Counting)
+    every = zip(actions.names, actions.actions, strict=True)
+    parts = [(name, action) for name, action in every if not isinstance(action, SubSkill)]
+    if counts and all(_kind(environment) in _tried.get(action, ()) for _, action in parts):
         return
     check_environment(environment, device)
-    for name, action in zip(actions.names, actions.actions, strict=True):
+    for name, action in parts:
         ours = counts and type(action).__module__.startswith(f"{__name__.split('.')[0]}.")
-        if not (ours or isinstance(action, SubSkill)):
+        if not ours and _kind(environment) not in _tried.get(action, ()):
             check_action(name, action, environment, device)
+        _tried.setdefault(action, set()).add(_kind(environment))
     check_parts(settings, actions, environment, device)
-    if counts:
-        kinds.add(type(environment))
+
+
+def _kind(environment: Environment) -> tuple[type, int, int]:
+    return type(environment), environment.percept_size, environment.control_size
 
 
 def derived_generator(generator: Generator, number: int) -> Generator:

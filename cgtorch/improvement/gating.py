@@ -13,7 +13,6 @@ from typing import TypeAlias
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import pad
-from torch.optim.adam import adam  # the class imports a compiler, which takes 2 s
 
 from cgtorch.graphs import BranchingNN
 from cgtorch.graphs.networks import one_hidden_layer
@@ -112,15 +111,17 @@ def _descend(
     """
     shape = (RESTARTS, solves.shape[1] - 1, branch.num_parameters)
     parameters, rate = torch.randn(shape, generator=generator), RATE
-    mean, square, steps = torch.zeros(shape), torch.zeros(shape), torch.zeros(())
+    mean, square = torch.zeros(shape), torch.zeros(shape)
     gradient = gradient_of(branch, solves, weight, RESTARTS)
     for epoch in range(EPOCHS):
         noisy = x + torch.randn(x.shape, generator=generator) * blur
-        adam(
-            [parameters], [gradient(parameters, noisy)], [mean], [square], [], [steps],
-            foreach=False, amsgrad=False, beta1=0.9, beta2=0.999, lr=rate, weight_decay=0, eps=1e-8,
-            maximize=False,
-        )  # fmt: skip
+        slope = gradient(parameters, noisy)
+        # Adam, without the calls around it, which take longer than its arithmetic.
+        mean.lerp_(slope, 1 - 0.9)
+        square.mul_(0.999).addcmul_(slope, slope, value=1 - 0.999)
+        size = rate / (1 - 0.9 ** (epoch + 1))
+        spread = (square.sqrt() / math.sqrt(1 - 0.999 ** (epoch + 1))).add_(1e-8)
+        parameters.addcdiv_(mean, spread, value=-size)
         turn = math.pi / EPOCHS
         rate *= (1 + math.cos(turn * (epoch + 1))) / (1 + math.cos(turn * epoch))
     return parameters

@@ -18,6 +18,7 @@ from cgtorch.evolution import (
     initial_state,
     lexicase,
     mutate,
+    search,
     tell,
 )
 from cgtorch.evolution.operators import crossover
@@ -192,6 +193,18 @@ def test_good_parts_pass_and_trying_them_draws_nothing() -> None:
     generation = next(evolve(model(0, 1), ACTIONS, settings, generator))
     expected = initial_state(settings, ACTIONS, seeded(3)).population
     assert same(generation.population.graphs, pruned(expected.graphs))
+
+
+def test_actions_are_tried_once_in_environments_of_a_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    actions, tried = custom_actions(), list[str]()
+    monkeypatch.setattr(search, "check_action", lambda name, *_: tried.append(name))
+    for _ in range(2):
+        next(evolve(model(0, 4), actions, SMALL, seeded(0)))
+    assert sorted(tried) == sorted(actions.names)
+    other = model(0, 4)
+    other.__class__ = type("Other", (type(other),), {})
+    next(evolve(other, actions, SMALL, seeded(0)))
+    assert sorted(tried) == sorted(2 * actions.names)
 
 
 def test_first_graphs_of_ones_own() -> None:
