@@ -54,6 +54,7 @@ def test_every_format(shell: Shell, tmp_path: Path, form: str) -> None:
             assert data.startswith(b"flowchart TD\n")
 
 
+@pytest.mark.hostile
 @pytest.mark.parametrize("form", SLOW)
 def test_a_file_that_takes_longer(form: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     data = exported(form, tmp_path_factory)

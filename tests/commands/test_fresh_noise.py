@@ -40,6 +40,7 @@ def summed(asked: dict[str, dict[str, int]], name: str) -> int:
     return sum(phase[name] for phase in asked.values())
 
 
+@pytest.mark.hostile
 def test_rounds_end_with_a_skill_that_has_met_each_placement_once(
     shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -44,6 +44,7 @@ def test_an_animated_picture_of_a_skill(run: Path, tmp_path: Path) -> None:
     assert film.read_bytes()[:3] == b"GIF"
 
 
+@pytest.mark.hostile
 def test_the_report_of_a_run_in_physics_has_a_film(run: Path, tmp_path: Path) -> None:
     """Or says why there is none; the page still needs nothing else."""
     folder, page = (

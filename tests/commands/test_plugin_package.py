@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from command_line import EVALUATE, ROOT, TRAIN, Ended, about, as_options, in_a_shell
+from command_line import EVALUATE, ROOT, TRAIN, Shell, about, as_options
 from told_by_runs import result_of
 from trained import SMALL
 
@@ -35,18 +35,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         check=True,
         capture_output=True,
     )
-    path = os.pathsep.join([str(folder / "site"), os.environ.get("PYTHONPATH", "")])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", path.rstrip(os.pathsep))
+        patch.syspath_prepend(folder / "site")
         yield folder / "site"
-
-
-@pytest.fixture(scope="module")
-def run(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ended]:
-    """A small run with both actions, and how its command ended."""
-    folder = tmp_path_factory.mktemp("run")
-    words = ["--stage", "S0", "--run-dir", "run", *as_options(SMALL), *NAMED]
-    return folder / "run", in_a_shell(TRAIN, *words, folder=folder)
 
 
 def test_it_holds_what_the_document_says() -> None:
@@ -66,7 +57,11 @@ def test_it_is_found_by_name(installed: Path) -> None:
         "print(actions.actions[-2].__class__.__module__)\n"
     )
     ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": str(installed)},
+        capture_output=True,
+        text=True,
+        check=True,
     )
     names, module = ended.stdout.splitlines()
     assert names.split() == [*paper_actions().names, *NAMES]
@@ -74,11 +69,11 @@ def test_it_is_found_by_name(installed: Path) -> None:
 
 
 def test_a_run_is_trained_with_it_and_tried_again(
-    run: tuple[Path, Ended], installed: Path, monkeypatch: pytest.MonkeyPatch
+    shell: Shell, installed: Path, tmp_path: Path
 ) -> None:
     """It is said which of its actions the skill uses, and it is read again without naming them."""
-    folder, ended = run
-    assert ended.code == 0, ended.err
+    folder = tmp_path / "run"
+    ended = shell.does(TRAIN, "--stage", "S0", "--run-dir", "run", *as_options(SMALL), *NAMED)
     assert about(folder)["settings"]["actions"] == list(NAMES)
     skill = json.loads((folder / "S0" / "skill.json").read_text())
     every = [skill, *skill["skills"].values()]
@@ -86,20 +81,12 @@ def test_a_run_is_trained_with_it_and_tried_again(
     for name in NAMES:
         uses = f"S0 uses the action {name}.", f"No node of S0 is {name}: the search found no use"
         assert [line in ended.err for line in uses] == [name in used, name not in used]
-    result = result_of(folder, "S0")
-    words = ["--scenarios", "near", "--count", "40", "--seed", "5", "--json"]
-    tried = in_a_shell(EVALUATE, str(folder), *words)
-    assert tried.code == 0, tried.err
-    found = json.loads(tried.out)
+    words = ["--scenarios", "near", "--count", "40", "--seed", "5"]
+    found = shell.told(EVALUATE, "run", *words)
     assert (found["skill"], found["tried"]) == ("S0", 40)
     assert found["succeeded"] > 20
-    assert result["targets_succeeded"] > 2
-    lone = in_a_shell(EVALUATE, str(folder / "S0" / "skill.json"), *words, *NAMED)
-    assert lone.code == 0, lone.err
-    assert json.loads(lone.out)["succeeded"] == found["succeeded"]
-    known = os.environ["PYTHONPATH"].removeprefix(str(installed)).lstrip(os.pathsep)
-    monkeypatch.setenv("PYTHONPATH", known)
-    without = in_a_shell(EVALUATE, str(folder))
-    assert without.code == 2
-    assert "unknown action 'Approach'; known are" in without.err
-    assert "Traceback" not in without.err
+    assert result_of(folder, "S0")["targets_succeeded"] > 2
+    alone = shell.told(EVALUATE, "run/S0/skill.json", *words, *NAMED)
+    assert alone["succeeded"] == found["succeeded"]
+    shell.monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(installed)])
+    assert "unknown action 'Approach'; known are" in shell.refuses(EVALUATE, "run")

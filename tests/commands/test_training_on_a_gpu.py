@@ -33,6 +33,7 @@ def quick(trained: Trained, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.hostile
 def test_a_skill_is_evolved_there(shell: Shell, trained: Trained, tmp_path: Path) -> None:
     run = quick(trained, tmp_path / "run")
     with pretended_gpu() as gpu:

@@ -98,6 +98,7 @@ def drives(step: Step, about: dict[str, Any], runs: list[Execution], within: flo
         assert_same(by_steps(step, about, PLACE, scenario), run, within)
 
 
+@pytest.mark.hostile
 def test_step_module_and_onnx(wanted: Wanted) -> None:
     runs, _ = wanted
     step = SkillStep(SKILL)

@@ -38,6 +38,7 @@ with ranks.together():
 """
 
 
+@pytest.mark.hostile
 def test_ranks_that_were_started_again_meet(tmp_path: Path) -> None:
     script = tmp_path / "restarted.py"
     script.write_text(RESTARTED)

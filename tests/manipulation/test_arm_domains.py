@@ -155,6 +155,7 @@ def test_a_skill_is_trained_counted_and_tried(tmp_path: Path) -> None:
     assert row[SEEN:].isfinite().all()
 
 
+@pytest.mark.hostile
 def test_a_training_that_was_stopped_ends_as_if_it_had_not_been(tmp_path: Path) -> None:
     """What it knew of individuals that come again is asked again, of one generation."""
     about = {"stage": "01-reach-v3", "seed": 5, "population": 12, "practice": 3, "quiet": True}

@@ -92,6 +92,7 @@ def test_the_papers_way_ends_as_the_engine_does() -> None:
     assert differ < 1e-3
 
 
+@pytest.mark.hostile
 def test_the_strong_cpu_way_ends_as_the_engine_does_in_any_process() -> None:
     arrays = strong_cpu.array_graphs(graphs_to_run(), work().actions)
     alone = strong_cpu.run_share(ArrayModels(models()), LIMIT, arrays)
@@ -156,6 +157,7 @@ def test_a_generation_is_split_into_all_its_parts(monkeypatch: pytest.MonkeyPatc
     assert sum(parts) > 0
 
 
+@pytest.mark.hostile
 def test_lines_of_postures_and_gating_networks() -> None:
     postures, gating = (line(Effort(repeats=5, size=0.05)) for line in (touching, gating_gradient))
     assert [part.label for part in (*postures.parts, *gating.parts)] == [
@@ -166,6 +168,7 @@ def test_lines_of_postures_and_gating_networks() -> None:
     assert all(part.ratio > 0 for part in (*postures.parts, *gating.parts))
 
 
+@pytest.mark.hostile
 def test_more_room_is_measured_where_it_changes_nothing() -> None:
     rollouts, generation = padding(Effort(1, 0.05)).parts
     assert rollouts.ratio > 0

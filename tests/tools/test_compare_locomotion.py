@@ -90,6 +90,7 @@ def test_a_toll_takes_off_what_survival_gives() -> None:
     assert seen.count == gained + 1
 
 
+@pytest.mark.hostile
 def test_the_command_compares_equal_steps_and_keeps_results(tmp_path: Path) -> None:
     folder = tmp_path / "new"
     about = ["--only", "InvertedDoublePendulum-v5", "--seeds", "0:1", "--steps", "3000"]

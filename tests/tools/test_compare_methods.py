@@ -72,6 +72,7 @@ def check_costs(found: Result) -> None:
     assert found["settings"]["method"] == ("compose" if found["method"] == "stages" else "paper")
 
 
+@pytest.mark.hostile
 def test_every_skill_of_the_default_is_measured(folder: Path) -> None:
     found = result(folder, "stages")
     check_costs(found)

@@ -206,6 +206,7 @@ def test_ppo_learns_up_to_the_budget() -> None:
     assert found.play(problem.domain.world(problem.group[:1]))[STEPS] > 0
 
 
+@pytest.mark.hostile
 def test_ours_ends_by_its_criterion_or_by_the_budget() -> None:
     few = {"population": 12}
     found = ours.search(Problem(REACH, 1, practice=6), **few)
@@ -218,6 +219,7 @@ def test_ours_ends_by_its_criterion_or_by_the_budget() -> None:
     assert short.asked.steps >= 300
 
 
+@pytest.mark.hostile
 def test_results_are_kept_and_make_a_table(tmp_path: Path) -> None:
     given = [str(tmp_path), REACH, "--seeds", "0:2", "--searches", "cma", "--count", "2"]
     outputs = [CliRunner().invoke(tool.command, given).stdout for _ in range(2)]

@@ -56,6 +56,7 @@ def test_what_is_a_failure() -> None:
         said(lambda: None, ["open"])
 
 
+@pytest.mark.hostile
 def test_writing_elsewhere_is_seen(tmp_path: Path) -> None:
     program = (
         "from hostile.worker import watched\nfrom pathlib import Path\nimport sys\n"

@@ -124,6 +124,7 @@ def test_orders_arrive_after_two_days_and_cost_once() -> None:
     assert float(world.next_state(state, torch.zeros(1, 1), number)[0, 0]) == 5.0
 
 
+@pytest.mark.hostile
 def test_the_best_rule_is_better_than_those_beside_it() -> None:
     name, mean = best_rule(Pig(), 2000)
     others = [played(Pig(), by_rule(rule), 2000).value for rule in Pig.rules().values()]
@@ -141,6 +142,7 @@ def test_table_has_medians_and_counts_those_that_are_no_worse() -> None:
     assert cells == ["pig:Pig", "hold at 20", "-12.6000 ± 0.0500", "-12.7000", "2 of 3", "0.3000"]
 
 
+@pytest.mark.hostile
 def test_command_trains_and_tells(tmp_path: Path) -> None:
     about = ["--only", "queues:Servers", "--seeds", "0:1", "--minutes", "0.1", "--count", "500"]
     for _ in range(2):  # the second time nothing is trained

@@ -1,9 +1,11 @@
 """The tool's own logic; what it measures is never a test."""
 
 import measure_ranks
+import pytest
 from click.testing import CliRunner
 
 
+@pytest.mark.hostile
 def test_ranks_are_started_and_come_to_the_same() -> None:
     options = ["--ranks", "1", "--ranks", "2", "--population", "31", "--repeats", "1"]
     result = CliRunner().invoke(measure_ranks.command, options)

@@ -23,6 +23,7 @@ def test_a_share_is_passed_when_a_skill_first_has_it() -> None:
     assert tool.worse(ROWS) == (1, 4)
 
 
+@pytest.mark.hostile
 def test_a_small_run_is_measured(tmp_path: Path) -> None:
     """Its skills are tried on fresh placements, which are not counted."""
     settings = RunSettings(seed=3, population=40, generations=10, attempts=2, practice=2)

@@ -66,6 +66,7 @@ def test_it_begins_with_few_steps_in_the_world_and_counts_them() -> None:
     assert after.knowledge.limits.circles == ((0, 1, 1.0),)
 
 
+@pytest.mark.hostile
 def test_a_task_is_solved_within_few_steps() -> None:
     trial = Trial(shortened("mountain_car_continuous", 250), "test", 0, Budget(300, 100))
     search(trial)

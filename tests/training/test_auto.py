@@ -139,6 +139,7 @@ def test_what_was_asked_adds_up_over_the_rounds(made: Made) -> None:
     assert {"looks", "practice"} <= set(spent)
 
 
+@pytest.mark.hostile
 def test_a_round_that_is_interrupted_asks_no_more_than_one_that_is_not(
     made: Made, tmp_path: Path
 ) -> None:
@@ -322,6 +323,7 @@ def test_rounds_on_tables_of_any_kind(tmp_path: Path) -> None:
         train(Training(run, ignore, quietly), "S0")
 
 
+@pytest.mark.hostile
 def test_what_a_robots_world_was_asked_before_a_kill_is_not_asked_again(tmp_path: Path) -> None:
     """Nothing repeats itself there, so the rest of the round is another one; counts go on."""
     settings = replace(SMALL, attempts=3)

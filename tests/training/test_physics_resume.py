@@ -53,6 +53,7 @@ def files(folder: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.hostile
 def test_the_same_bits(trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Data and models are those of a kinematic run, as collecting them takes a minute."""
     monkeypatch.setattr(training, "FRESH", 2)

@@ -139,6 +139,7 @@ print(most() - before)
 """
 
 
+@pytest.mark.hostile
 def test_memory_is_bounded(tmp_path):
     """Files of up to 32 MiB are refused before they take a gigabyte."""
     for name, (text, _) in LARGE.items():
