@@ -35,7 +35,13 @@ def test_all_are_known() -> None:
     assert {path.stem for path in FOLDER.glob("*")} == {"first_skill", "own_action", "own_world"}
 
 
-@pytest.mark.parametrize("name", ["first_skill", "own_action", "own_world"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(pytest.param(n, marks=pytest.mark.hostile) for n in ("first_skill", "own_action")),
+        "own_world",
+    ],
+)
 def test_a_notebook_runs_and_is_stored_with_its_outputs(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

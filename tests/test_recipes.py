@@ -54,7 +54,7 @@ def test_runs_are_stopped_continued_and_compared(left: dict[str, Any]) -> None:
     assert left["generations"].best.max() > 0.5
     assert 0 < left["motions"] <= 300
     assert {"stage", "generation", "accepted"} <= set(left["log"].event)
-    assert "BackOff" in left["again"].actions.names
+    assert "Creep" in left["again"].actions.names
     assert left["search"].generation == 6
     assert left["search"].best_fitness > 0
     assert left["pole"].evaluate(20).mean_return > 50

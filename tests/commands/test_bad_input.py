@@ -346,6 +346,7 @@ def test_a_full_disk(shell: Shell, small_disk: Path) -> None:
     assert listing(small_disk) == {"ballast"}
 
 
+@pytest.mark.hostile
 def test_a_disk_that_fills_up_while_a_run_goes_on(small_disk: Path, trained: Trained) -> None:
     folder = copied(trained, small_disk / "run", ("S0",))
     before = listing(folder)
@@ -363,6 +364,7 @@ def no_large_files() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
 
+@pytest.mark.hostile
 def test_files_that_may_not_grow(tmp_path: Path) -> None:
     ended = in_a_shell(TRAIN, "--run-dir", str(tmp_path / "run"), before=no_large_files)
     assert (ended.code, ended.err.count("\n")) == (2, 1), ended

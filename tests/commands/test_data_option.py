@@ -8,11 +8,13 @@ from typing import Any
 
 import pytest
 import torch
-from command_line import EVALUATE, EXPORT, REPORT, ROOT, TRAIN, Shell, about, in_a_shell, listing
+from click.testing import CliRunner
+from command_line import EVALUATE, EXPORT, REPORT, ROOT, TRAIN, Shell, about, listing
 from told_by_runs import asked_at_start, result_of
 from torch import Generator
 
 from cgtorch import read_data
+from cgtorch.commands import export, train
 from cgtorch.domains.exploration import FEWEST, LEAST
 from cgtorch.domains.knowledge import MOST_LABELS, MOST_TRANSITIONS
 from cgtorch.ground.environment import Dataset
@@ -44,11 +46,14 @@ def asked(part: Path) -> dict[str, Any]:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a run of carts, and with its data in a file."""
     folder = tmp_path_factory.mktemp("logged")
-    for words in (
-        [TRAIN, *CART, *QUICK, "--run-dir", "first"],
-        [EXPORT, "first/start", *CART, "--format", "data", "--output", "log.csv"],
-    ):
-        assert in_a_shell(*words, folder=folder).code == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for command, words in (
+            (train.command, [*CART, *QUICK, "--run-dir", "first"]),
+            (export.command, ["first/start", *CART, "--format", "data", "--output", "log.csv"]),
+        ):
+            told = CliRunner().invoke(command, words)
+            assert told.exit_code == 0, told.output
     return folder
 
 

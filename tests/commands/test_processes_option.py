@@ -82,6 +82,7 @@ def test_any_number_of_processes_gives_the_same_files_and_says_the_same_once(
         assert usual_processes(run) == processes
 
 
+@pytest.mark.hostile
 def test_an_error_in_another_process_is_told_once_and_the_run_goes_on(folder: Path) -> None:
     ended = trained(folder, "--env", "once=1", "--processes", "2", "--quiet")
     assert ended.code == 2

@@ -77,6 +77,7 @@ def test_the_fastest_device_is_taken_and_said_where_there_is_a_gpu(
     assert capsys.readouterr().err.startswith(says)
 
 
+@pytest.mark.hostile
 def test_a_run_may_go_on_on_another_device(
     shell: Shell, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

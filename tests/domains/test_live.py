@@ -243,7 +243,14 @@ def test_a_robot_finds_a_skill_and_each_scene_is_met_once(
     assert (now > before) == (fitted > 0)
 
 
-@pytest.mark.parametrize("killed_at", [[1], [3, 2, 5], [9, 1]])
+@pytest.mark.parametrize(
+    "killed_at",
+    [
+        pytest.param([1], marks=pytest.mark.hostile),
+        [3, 2, 5],
+        pytest.param([9, 1], marks=pytest.mark.hostile),
+    ],
+)
 def test_a_stage_that_is_killed_goes_on_where_it_was(
     killed_at: list[int], pushed: Knowledge, tmp_path: Path
 ) -> None:

@@ -138,7 +138,10 @@ def test_groups_have_the_same_parents() -> None:
 
 
 @pytest.mark.usefixtures("everything_on_gpu")
-@pytest.mark.parametrize(("actions", "selection"), [(OWN, tournament()), (NESTED, lexicase)])
+@pytest.mark.parametrize(
+    ("actions", "selection"),
+    [pytest.param(OWN, tournament(), marks=pytest.mark.hostile), (NESTED, lexicase)],
+)
 def test_whole_evolutions_are_the_same(actions: ActionSet, selection: object) -> None:
     environment = models_as(random_models(3, 7), torch.float32)
     settings = EvolutionSettings(population=40, selection=selection, islands=2, migration=2)
@@ -201,7 +204,7 @@ def shrunk_champion(
 
 @pytest.mark.parametrize(
     ("actions", "fitness", "kept"),
-    [(PAPER, hurried, 1), (NESTED, chance_of_success, 0)],
+    [(PAPER, hurried, 1), pytest.param(NESTED, chance_of_success, 0, marks=pytest.mark.hostile)],
 )
 def test_evolutions_by_rollouts_in_torch_are_the_same(
     actions: ActionSet, fitness: Fitness, kept: int

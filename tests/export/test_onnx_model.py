@@ -76,6 +76,7 @@ def test_five_hundred_percepts(data: bytes) -> None:
     replayed(data, runs)
 
 
+@pytest.mark.hostile
 def test_a_skill_that_computes_nothing() -> None:
     skill = circle(paper_actions(), "MoveBase", "Grasp")
     runs, _ = by_the_library(skill, world(4, 90))
@@ -101,6 +102,7 @@ class Eigenvalues(Learned):
         return replace(lanes, message=torch.linalg.eigvalsh(square)), out
 
 
+@pytest.mark.hostile
 def test_an_action_that_onnx_cannot_say_is_named() -> None:
     with pytest.raises(ActionError, match="action 'Mine' cannot be exported: ONNX lacks"):
         to_onnx(lone(Eigenvalues()), percept_size=7)

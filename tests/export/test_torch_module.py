@@ -71,6 +71,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return exported("module", tmp_path_factory)
 
 
+@pytest.mark.hostile
 def test_a_thousand_percepts_without_cgtorch(archive: bytes, tmp_path: Path) -> None:
     _, skill = reference()
     runs, _ = by_the_library(skill, world(12, 70))

@@ -76,7 +76,7 @@ def unlimited(method: Callable[..., Any]) -> tuple[Progress[Any], Asked]:
 
 
 @pytest.mark.parametrize("name", LIMITED)
-@pytest.mark.parametrize("method", [composed, grown])
+@pytest.mark.parametrize("method", [composed, pytest.param(grown, marks=pytest.mark.hostile)])
 def test_no_more_is_asked_than_is_allowed(method: Callable[..., Any], name: str) -> None:
     """And what is solved under the skill with which the stage ends, is."""
     (whole, needs), accepted = unlimited(method), 0

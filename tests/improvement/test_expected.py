@@ -210,7 +210,7 @@ def test_an_earlier_skill_stays_unless_another_is_better() -> None:
     assert median(wins(searched(setup, worse).skill) for setup in setups) > 0.8
 
 
-@pytest.mark.parametrize("number", [1, 2, 20])
+@pytest.mark.parametrize("number", [1, 2, pytest.param(20, marks=pytest.mark.hostile)])
 @pytest.mark.parametrize("skill", [None, staking(0.2, name="earlier")], ids=["new", "earlier"])
 def test_it_is_the_same_after_an_interruption(
     number: int, skill: Skill | None, tmp_path: Path

@@ -40,7 +40,14 @@ def modules() -> dict[str, Module]:
     return made
 
 
-@pytest.mark.parametrize("architecture", ["sm_80", "sm_90", "sm_120"])
+@pytest.mark.parametrize(
+    "architecture",
+    [
+        pytest.param("sm_80", marks=pytest.mark.hostile),
+        "sm_90",
+        pytest.param("sm_120", marks=pytest.mark.hostile),
+    ],
+)
 @pytest.mark.parametrize("name", modules())
 def test_sources_compile(name: str, architecture: str) -> None:
     module = modules()[name]

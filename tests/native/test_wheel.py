@@ -65,6 +65,7 @@ def said(installed: Path, tmp_path: Path, **environment: str) -> tuple[bool, flo
     return yes == "True", float(value)
 
 
+@pytest.mark.hostile
 def test_no_compiler_is_needed(installed: Path, tmp_path: Path) -> None:
     compiled, value = said(installed, tmp_path, CC="no-such-compiler")
     assert compiled

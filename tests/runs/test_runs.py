@@ -323,7 +323,16 @@ def test_a_stage_that_is_interrupted_leaves_its_journal_and_goes_on_with_it(
     ends_as(trained, folder)
 
 
-@pytest.mark.parametrize("kind", [GenerationDone, WorldAsked, Practised, ModelsFitted])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        WorldAsked,
+        *(
+            pytest.param(e, marks=pytest.mark.hostile)
+            for e in (GenerationDone, Practised, ModelsFitted)
+        ),
+    ],
+)
 def test_a_stage_that_is_killed_anywhere_ends_as_one_that_was_not(
     trained: Trained, tmp_path: Path, kind: type[Event]
 ) -> None:
@@ -350,7 +359,7 @@ def test_a_stage_that_is_killed_anywhere_ends_as_one_that_was_not(
     ends_as(trained, folder)
 
 
-@pytest.mark.parametrize("motion", [1, 40])
+@pytest.mark.parametrize("motion", [pytest.param(1, marks=pytest.mark.hostile), 40])
 def test_a_trial_that_is_killed_is_made_again_and_counted_once(
     trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, motion: int
 ) -> None:

@@ -19,6 +19,8 @@ from cgtorch.runs.storage import load_dataset
 from cgtorch.runs.stored_run import read_run
 from cgtorch.training.context import Training
 
+pytestmark = pytest.mark.hostile
+
 SEED = f"seed-{SMALL.seed}"
 
 HASTY = replace(SMALL, transitions=100, attempts=2, generations=4)
@@ -72,7 +74,6 @@ def check_costs(found: Result) -> None:
     assert found["settings"]["method"] == ("compose" if found["method"] == "stages" else "paper")
 
 
-@pytest.mark.hostile
 def test_every_skill_of_the_default_is_measured(folder: Path) -> None:
     found = result(folder, "stages")
     check_costs(found)

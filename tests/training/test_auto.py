@@ -291,6 +291,7 @@ def test_what_was_tried_joins_w_and_m_with_what_was_seen(tmp_path: Path) -> None
         assert try_skill(nearly(0.3), run.domain.world(progress.solved)).succeeded.all()
 
 
+@pytest.mark.hostile
 def test_rounds_on_tables_of_any_kind(tmp_path: Path) -> None:
     """Everything is drawn from the run's scenarios, and all of a skill reads all of a percept.
 

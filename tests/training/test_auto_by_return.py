@@ -102,7 +102,7 @@ def test_a_round_ends_and_the_goal_is_reached_once_a_second_test_holds(tmp_path:
     assert len(of(events, GenerationDone)) < 300
 
 
-@pytest.mark.parametrize("number", [2, 7])
+@pytest.mark.parametrize("number", [2, pytest.param(7, marks=pytest.mark.hostile)])
 def test_it_is_the_same_after_an_interruption(tmp_path: Path, number: int, whole: Whole) -> None:
     """What the journal has is not evolved again."""
     run, _, (first, _) = whole
