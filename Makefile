@@ -71,7 +71,7 @@ fingerprint: setup  ## Print one number of a small run, to compare machines
 	$(BIN)/python tools/fingerprint.py
 
 gpu: setup  ## Test all kernels on this machine's GPU, and time them
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q tests/simulation/test_gpu_engine.py tests/evolution/test_gpu_operators.py tests/native/test_gpu.py
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -m '' tests/simulation/test_gpu_engine.py tests/evolution/test_gpu_operators.py tests/native/test_gpu.py
 	$(BIN)/python tools/benchmark.py --device cuda
 
 hostile: setup  ## Damage files, and kill runs, ranks and a robot's run (half an hour)

@@ -11,8 +11,10 @@ from trained import Trained, copied, interrupted
 import cgtorch
 from cgtorch import open_run
 from cgtorch.runs.log import read_log
-from cgtorch.runs.stored_run import read_run
-from cgtorch.training.explained import background_of, explained, searched_of
+from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import planned_run, read_run
+from cgtorch.training.explained import EPISODES, _wanted, background_of, explained, searched_of
+from cgtorch.training.train import FRESH
 
 
 def rows(count: int, limit: int, best: list[float], **more: Any) -> list[dict[str, Any]]:
@@ -105,6 +107,36 @@ def test_kinds_of_stages_that_were_not_made_are_marked(trained: Trained, tmp_pat
     made = {each.kind: each.made for each in why.found.tried}
     assert made["near"]
     assert not made["left"]
+
+
+@pytest.mark.parametrize(
+    ("name", "models", "says"),
+    [
+        ("examples.cart:Cart", "auto", "Nothing was searched so far."),
+        ("gymnasium:CartPole-v1", "auto", "in the world itself, so no model is to blame."),
+        ("gymnasium:MountainCarContinuous-v0", "learned", "none in a Γ with rewards."),
+    ],
+)
+def test_a_run_that_has_not_begun_tells_where_it_would_search(
+    name: str, models: str, says: str, tmp_path: Path
+) -> None:
+    run = planned_run(tmp_path / "run", RunSettings(domain=name, models=models))
+    (tmp_path / "run").mkdir()
+    why = explained(run)
+    assert why is not None
+    assert why.found.blame.startswith("There is no skill yet.")
+    assert why.found.blame.endswith(says)
+
+
+def test_how_many_scenarios_are_tried(tmp_path: Path) -> None:
+    """Those of all stages that have begun, or of the run's kind."""
+    cart = planned_run(tmp_path / "run", RunSettings(domain="examples.cart:Cart"))
+    assert _wanted(cart, []) == {cart.kind: EPISODES}
+    arm = planned_run(tmp_path / "run", RunSettings(domain="metaworld:reach-v3"))
+    assert _wanted(arm, []) == {arm.kind: FRESH}
+    table = planned_run(tmp_path / "run", RunSettings())
+    begun = [{"event": "stage", "stage": name} for name in ("S0", "S1", "auto-1")]
+    assert _wanted(table, begun) == {"near": FRESH, "left": FRESH}
 
 
 def test_a_run_without_a_skill_and_a_run_on_a_robot(tmp_path: Path) -> None:
