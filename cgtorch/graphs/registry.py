@@ -27,6 +27,8 @@ from cgtorch.ground.errors import ActionError
 ENTRY_POINTS = "cgtorch.actions"
 VISITS = 3
 """Times that an action is tried on the same lanes, as its memory may be used from the second on."""
+MOST_DELAYED = 4096
+"""The most parameters of the network that reads changes: every node has room for the largest."""
 BUILT_IN: Mapping[str, Callable[[int, int], Action]] = {
     "LinearNN": LinearNN,
     "DelayNN": lambda percept, control: DelayNN(percept, outputs=control),
@@ -39,17 +41,20 @@ def reward_actions(percept: int, control: int, hidden: int = 8) -> ActionSet:
     """The actions of domains with rewards, for percepts and controls of these lengths.
 
     Four networks send a control: a linear one, one with a hidden layer, one that reads the latest
-    changes, and a recurrent one. A step carries the control out, and a network branches.
+    changes, and a recurrent one. A step carries the control out, and a network branches. Where
+    there would be more than `MOST_DELAYED` parameters, none reads changes.
 
     Args:
         percept: Number of values of a percept.
         control: Number of values of a control.
         hidden: Number of units in the hidden layer of `Aim`.
     """
+    delayed = DelayNN(percept, outputs=control)
+    changes = {"Delay": delayed} if delayed.num_parameters <= MOST_DELAYED else {}
     actions = {
         "Linear": LinearNN(percept, control),
         "Aim": ContinuousNN(percept, hidden, control),
-        "Delay": DelayNN(percept, outputs=control),
+        **changes,
         "Recur": RecurrentNN(percept, outputs=control),
         "Step": Step(control),
         "Branch": BranchingNN(percept),

@@ -9,10 +9,19 @@ import torch
 from support import Counter, model, world
 from torch import Generator, Tensor
 
-from cgtorch.graphs import ActionSet, check_action, resolve_actions
+from cgtorch.graphs import ActionSet, check_action, resolve_actions, reward_actions
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.tabletop.actions import paper_actions
+
+
+def test_percepts_that_are_long_have_no_network_of_changes() -> None:
+    """Every node of a population has room for the parameters of the largest action."""
+    assert reward_actions(105, 8).names == ("Linear", "Aim", "Delay", "Recur", "Step", "Branch")
+    large = reward_actions(348, 17)
+    assert large.names == ("Linear", "Aim", "Recur", "Step", "Branch")
+    assert max(action.num_parameters for action in large.actions) == 17 * 349
+
 
 MODULE = """
 import torch
