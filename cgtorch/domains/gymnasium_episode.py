@@ -19,8 +19,12 @@ from cgtorch.ground.errors import CgtorchError, WorldError
 
 PRIME = 1_000_003
 KEYS = 2**48  # so that keys are whole numbers in float64
-RESET, STEP = "(observation, info)", "(observation, reward, terminated, truncated, info)"
 METHODS = {"reset": "reset(self, *, seed=None, options=None)", "step": "step(self, action)"}
+FORMS = {
+    "reset": (2, "(observation, info)"),
+    "step": (5, "(observation, reward, terminated, truncated, info)"),
+}
+"""What methods return: the number of parts, and their names."""
 
 
 @dataclass
@@ -42,7 +46,7 @@ class Episode:
     def begin(self) -> NDArray[Any]:
         """Start again; returns the first observation. WorldError as for `play`."""
         self.actions, self.keys = [], []
-        seen, _ = self._asked("reset", lambda: self.environment.reset(seed=self.seed), RESET)
+        seen, _ = self._asked("reset", lambda: self.environment.reset(seed=self.seed))
         self.keys.append(self.seed % KEYS)
         return seen
 
@@ -52,8 +56,8 @@ class Episode:
         The action was made from `control`, by which it is known again. WorldError if the
         environment fails, or returns something else than Gymnasium expects.
         """
-        self.actions.append((deepcopy(action), control))  # as it may be changed in place
-        seen, gained, *ends, info = self._asked("step", lambda: self.environment.step(action), STEP)
+        self.actions.append((_kept(action), control))
+        seen, gained, *ends, info = self._asked("step", lambda: self.environment.step(action))
         self.keys.append((self.keys[-1] * PRIME + crc32(control)) % KEYS)
         try:
             reward, over = float(gained), sum(map(float, ends)) > 0
@@ -65,7 +69,7 @@ class Episode:
             ) from None
         if not math.isfinite(reward):
             raise WorldError(f"{self.where} gave reward {reward}; give finite rewards")
-        if not isinstance(info, Mapping):
+        if not (type(info) is dict or isinstance(info, Mapping)):
             raise WorldError(
                 f"{self.where} returned {kind(info)} as info; Gymnasium expects a dict"
             )
@@ -84,7 +88,7 @@ class Episode:
         now = f"step {len(self.actions)} after " if self.actions else ""
         return f"environment {self.name!r} in {now}reset(seed={self.seed})"
 
-    def _asked(self, method: str, call: Callable[[], Any], form: str) -> tuple[Any, ...]:
+    def _asked(self, method: str, call: Callable[[], Any]) -> tuple[Any, ...]:
         """What a method returns, its first part as numbers; WorldError if it has another form."""
         try:
             found = call()
@@ -95,7 +99,8 @@ class Episode:
             inside = place or not isinstance(e, TypeError)
             advice = "correct it there" if inside else f"declare it as {METHODS[method]}"
             raise WorldError(f"{self.where} raised {reason(e)}{place}; {advice}") from e
-        if not isinstance(found, tuple) or len(found) != form.count(",") + 1:
+        parts, form = FORMS[method]
+        if not isinstance(found, tuple) or len(found) != parts:
             raise WorldError(f"{self.where} returned {kind(found)}; Gymnasium expects {form}")
         return self._numbers(found[0]), *found[1:]
 
@@ -111,10 +116,17 @@ class Episode:
                 f"{self.where} showed {kind(seen)} ({reason(e)}); make it a member of its "
                 "observation_space"
             ) from e
-        if not finite.all():
+        if np.count_nonzero(finite) < finite.size:  # a fifth of the time of `all`
             at = int(finite.argmin())
             raise WorldError(
                 f"{self.where} showed {self.percepts.fields[at].name} as {numbers[at]}; show "
                 "finite numbers, leave this one out (percepts, --percepts), or wrap it (--wrappers)"
             )
         return numbers
+
+
+def _kept(action: Any) -> Any:
+    """A copy of an action, which may be changed in place; `deepcopy` takes 10 µs for a number."""
+    if isinstance(action, np.ndarray) and action.dtype != object:
+        return action.copy()
+    return action if isinstance(action, int | float | np.generic) else deepcopy(action)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -92,22 +93,36 @@ class Percepts:
     columns: NDArray[Any] | None
     left_out: tuple[str, ...]
 
+    @cached_property
+    def _sizes(self) -> tuple[tuple[Part, int | None], ...]:
+        """The parts with the lengths of those that stay as they are; others are flattened."""
+        from gymnasium.spaces import Box
+
+        def size(space: Any) -> int | None:
+            return math.prod(space.shape) if isinstance(space, Box) else None
+
+        return tuple((part, size(part.space)) for part in self.parts)
+
     def of(self, observation: Any) -> NDArray[Any]:
         """The numbers (D,) of an observation, copied; ValueError for other ones."""
-        from gymnasium.spaces import Box, flatten
-
-        found = list[NDArray[Any]]()
-        for part in self.parts:
-            value = part.of(observation)
-            own = isinstance(part.space, Box)  # whose numbers stay of their type
-            numbers = np.array(value if own else flatten(part.space, value))
-            if numbers.dtype.kind not in "biuf":
-                raise ValueError(f"{part.name} is of type {numbers.dtype}")
-            if own and numbers.size != math.prod(part.space.shape):
-                raise ValueError(f"{part.name} has {numbers.size} numbers, not {part.space!s:.60}")
-            found.append(numbers.ravel())
-        every: NDArray[Any] = np.concatenate(found) if len(found) > 1 else found[0]
+        found = [_read(part, size, observation) for part, size in self._sizes]
+        every = np.concatenate(found) if len(found) > 1 else found[0]
         return every if self.columns is None else every[self.columns]
+
+
+def _read(part: Part, size: int | None, observation: Any) -> NDArray[Any]:
+    """The numbers of a part of an observation, copied; a Box with `size` numbers keeps its type."""
+    value = part.of(observation)
+    if size is None:
+        from gymnasium.spaces import flatten
+
+        value = flatten(part.space, value)
+    numbers = np.array(value)
+    if numbers.dtype.kind not in "biuf":
+        raise ValueError(f"{part.name} is of type {numbers.dtype}")
+    if size is not None and numbers.size != size:
+        raise ValueError(f"{part.name} has {numbers.size} numbers, not {part.space!s:.60}")
+    return numbers.ravel()
 
 
 def percepts_of(space: Any, patterns: Sequence[str], environment: str) -> Percepts:

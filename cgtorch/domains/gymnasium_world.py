@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from cgtorch.domains.gymnasium_episode import KEYS
+from cgtorch.domains.gymnasium_episode import KEYS, Episode
 from cgtorch.domains.gymnasium_episodes import MOST, Episodes
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import WorldError
@@ -45,15 +45,15 @@ class Success:
     mean: float = 0.0
     spread: float = 1.0
 
-    def seen(self, info: Any, where: str) -> bool:
-        """Whether the info of `where` tells of success; WorldError if that is no number."""
+    def seen(self, info: Any, episode: Episode) -> bool:
+        """Whether the info of an episode's step tells of success; WorldError if it is no number."""
         value = info.get(self.name, False)
         with suppress(TypeError, ValueError):
             if not math.isnan(number := float(value)):
                 return number > 0.5
         raise WorldError(
-            f"the info of {where} has {self.name} {value!r:.60}; name something in it that is a "
-            "number, or true or false (--success)"
+            f"the info of {episode.where} has {self.name} {value!r:.60}; name something in it that "
+            "is a number, or true or false (--success)"
         )
 
 
@@ -160,7 +160,7 @@ class Played(GymnasiumWorld):
             episode = self._episodes.at(int(slot), int(batch), int(steps), int(key))
             seen, reward, over, info = episode.play(action, own.tobytes())
             percepts.append(seen)
-            told = self._told(steps, more, reward, info, episode.where)
+            told = self._told(steps, more, reward, info, episode)
             if not abs(gained + reward) < HUGE:
                 raise WorldError(
                     f"{episode.where} comes to a return of {gained + reward:g}; give rewards whose "
@@ -171,9 +171,9 @@ class Played(GymnasiumWorld):
         return torch.tensor(after, dtype=torch.float64), np.array(percepts)
 
     def _told(
-        self, steps: int, before: list[float], reward: float, info: Any, where: str
+        self, steps: int, before: list[float], reward: float, info: Any, episode: Episode
     ) -> list[float]:
-        """The further columns after a step; `where` is its place in errors."""
+        """The further columns after a step of an episode."""
         return []
 
     def _ends(self, told: list[float]) -> bool:
@@ -214,9 +214,9 @@ class SuccessWorld(Played):
         return lanes.state[:, OVER] > 0
 
     def _told(
-        self, steps: int, before: list[float], reward: float, info: Any, where: str
+        self, steps: int, before: list[float], reward: float, info: Any, episode: Episode
     ) -> list[float]:
-        return [self._about.seen(info, where), max(before[1], reward) if steps else reward]
+        return [self._about.seen(info, episode), max(before[1], reward) if steps else reward]
 
     def _ends(self, told: list[float]) -> bool:
         return told[0] > 0 and not self._about.at_last
