@@ -30,6 +30,7 @@ from benchmarks.grid import (
     svr_grid_search_large,
 )
 from benchmarks.growth import growth_10x, padding
+from benchmarks.gymnasium_steps import gymnasium_steps
 from benchmarks.inference import inference_ceiling, inference_vs_sklearn
 from benchmarks.measure import FULL, QUICK, Effort, Line, cores
 from benchmarks.million import memory_of_a_million
@@ -64,6 +65,7 @@ LINES: dict[str, Callable[[Effort], Line]] = {
     "own_action": own_action,
     "own_world": own_world,
     "own_models": own_models,
+    "gymnasium_steps": gymnasium_steps,
     "gating_gradient": gating_gradient,
     "touching": touching,
     "grasp_way": grasp_way,
