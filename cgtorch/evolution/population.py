@@ -45,6 +45,7 @@ INITIAL_STRATEGY = (0.5, 0.1, 0.1, 0.1, 0.1, 0.3, 0.2, 0.5)
 TAU = 0.05  # variance of the drift in eq. 2
 STRATEGY_MIN, PROBABILITY_MAX, SIGMA_MAX = 1e-3, 1.0, 10.0
 DRAWN = 64  # graphs that `varied_graphs` draws for each one that it keeps
+LASTING = 4  # first graphs of a kind that repeat an action for ever
 
 
 @dataclass(frozen=True, eq=False)  # as tensors have no single truth value
@@ -187,9 +188,10 @@ def varied_graphs(
 ) -> Graphs:
     """Random graphs of as many kinds as possible, for small populations; see `random_graphs`.
 
-    A policy that acts for a whole episode is a loop, and a node outside the loop is idle. So those
-    graphs are preferred that are loops (`looping`). The first of each kind, which is the sorted
-    list of its nodes' actions, comes before the second of any.
+    A policy that acts for a whole episode is a loop, and a node outside the loop is soon idle. So
+    those graphs are preferred that are loops (`looping`). The first of each kind, which is the
+    sorted list of its nodes' actions, comes before the second of any. Beside the second to fifth
+    of these comes one that acts for ever by what was seen first (`lasting`), as some tasks need.
     """
     low, high = initial_nodes
     shape = DRAWN * size, high
@@ -199,8 +201,12 @@ def varied_graphs(
     start = torch.rand(shape[0], generator=generator)
     drawn = pruned(_structures(actions, count, action, heads, start))
     _, kind = drawn.action.sort(1).values.unique(dim=0, return_inverse=True)
-    group = torch.where(looping(drawn, actions), kind, kind + len(kind))
-    rank = occurrence(group) + len(kind) * (group >= len(kind))
+    loops = looping(drawn, actions)
+    lasts = lasting(drawn, actions) & ~loops
+    place = occurrence(kind + len(kind) * torch.where(loops, 0, torch.where(lasts, 1, 2)))
+    rank = torch.where(
+        loops, place, torch.where(lasts & (place < LASTING), 1 + place, place + len(kind))
+    )
     kept = drawn[rank.argsort(stable=True)[:size]]
     return replace(kept, parameters=actions.parameters_of(kept.action, generator))
 
@@ -209,8 +215,35 @@ def looping(graphs: Graphs, actions: ActionSet) -> Tensor:
     """(P,) bool, whether a graph acts, and all of its nodes are visited again and again.
 
     All nodes have to reach each other. Where actions have steps, a graph needs one, and its start
-    has to lead to a node that sends a message. From then on steps can be carried out, so the edges
-    by which they fail lead nowhere.
+    has to lead to a node that sends a message.
+    """
+    followed, _, every = _followed(graphs, actions)
+    for node in range(graphs.capacity):
+        every &= ~graphs.used[:, node] | (_from(followed, node) >= graphs.used).all(1)
+    return every
+
+
+def lasting(graphs: Graphs, actions: ActionSet) -> Tensor:
+    """(P,) bool, whether all nodes of a graph lead to a step that is carried out again and again.
+
+    Messages are sent as for `looping`, but later steps may repeat the first one.
+    """
+    followed, steps, every = _followed(graphs, actions)
+    again = torch.zeros_like(steps)
+    for node in range(graphs.capacity):
+        after = followed.edges[:, node, 0]
+        back = reachable(replace(followed, start=after.clamp_min(0)))[:, node]
+        again[:, node] = steps[:, node] & (after != NO_NODE) & back
+    for node in range(graphs.capacity):
+        every &= ~graphs.used[:, node] | (_from(followed, node) & again).any(1)
+    return every
+
+
+def _followed(graphs: Graphs, actions: ActionSet) -> tuple[Graphs, Tensor, Tensor]:
+    """The graphs with the edges that are followed, which nodes (P, N) are steps, and who (P,) acts.
+
+    From the first message on steps can be carried out, so the edges by which they fail lead
+    nowhere.
     """
     control = torch.tensor([own(action, "request") == "control" for action in actions.actions])
     sends = (torch.tensor([action.message_size for action in actions.actions]) > 0) & ~control
@@ -219,12 +252,13 @@ def looping(graphs: Graphs, actions: ActionSet) -> Tensor:
     edges[..., 1:].masked_fill_(steps[..., None], NO_NODE)
     first[..., :1].masked_fill_(steps[..., None], NO_NODE)
     begins = reachable(replace(graphs, edges=first)) & sends
-    every = (begins.any(1) & steps.any(1)) | ~control.any()
-    for node in range(graphs.capacity):
-        start = torch.full_like(graphs.start, node)
-        there = reachable(replace(graphs, edges=edges, start=start))
-        every &= ~graphs.used[:, node] | (there >= graphs.used).all(1)
-    return every
+    acts = (begins.any(1) & steps.any(1)) | ~control.any()
+    return replace(graphs, edges=edges), steps, acts
+
+
+def _from(graphs: Graphs, node: int) -> Tensor:
+    """(P, N) bool, a node and all nodes that it leads to."""
+    return reachable(replace(graphs, start=torch.full_like(graphs.start, node)))
 
 
 def occurrence(group: Tensor) -> Tensor:

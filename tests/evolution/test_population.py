@@ -20,6 +20,7 @@ from cgtorch.evolution.population import (
     STRATEGY_MIN,
     drifted,
     factors,
+    lasting,
     looping,
     occurrence,
     population_from,
@@ -165,12 +166,16 @@ def test_a_seed_says_which_varied_graphs_there_are() -> None:
 
 
 def test_small_populations_have_all_pairs_that_act_equally_often_and_nothing_else() -> None:
+    """Of each pair, four act by what was seen first only."""
     for seed in range(10):
         graphs = varied_graphs(48, REWARDED, 24, (2, 2), seeded(seed))
         assert valid(graphs, REWARDED).all()
-        assert looping(graphs, REWARDED).all()
-        found = kinds(graphs)
-        assert {kind: found.count(kind) for kind in found} == {(a, 5): 12 for a in range(4)}
+        loops = looping(graphs, REWARDED)
+        assert lasting(graphs, REWARDED).all()
+        for some, count in ((graphs[loops], 8), (graphs[~loops], 4)):
+            found = kinds(some)
+            assert {kind: found.count(kind) for kind in found} == {(a, 5): count for a in range(4)}
+        assert loops[:4].all()
 
 
 def test_without_steps_all_strongly_connected_graphs_loop() -> None:
@@ -198,22 +203,28 @@ def test_looping_is_strongly_connected_by_edges_that_are_followed(
 
 
 @pytest.mark.parametrize(
-    ("names", "edges", "loops"),
+    ("names", "edges", "loops", "lasts"),
     [
-        (("Aim", "Step"), {}, True),
-        (("Aim", "Linear"), {}, False),  # says much and does nothing
-        (("Step", "Branch"), {}, False),  # does nothing, as nothing is said
-        (("Aim", "Step"), {(1, "failure"): 1}, True),  # there is a message by then
-        (("Aim", "Step"), {(1, "success"): 1}, False),  # only the first percept counts
-        (("Step", "Aim"), {}, True),  # the first step fails, as there is no message yet
-        (("Step", "Aim"), {(0, "failure"): 0}, False),  # and fails for ever
-        (("Branch", "Aim", "Step"), {(0, "out1"): 1, (0, "out2"): 2, (2, "failure"): 2}, True),
+        (("Aim", "Step"), {}, True, True),
+        (("Aim", "Linear"), {}, False, False),  # says much and does nothing
+        (("Step", "Branch"), {}, False, False),  # does nothing, as nothing is said
+        (("Aim", "Step"), {(1, "failure"): 1}, True, True),  # there is a message by then
+        (("Aim", "Step"), {(1, "success"): 1}, False, True),  # only the first percept counts
+        (("Step", "Aim"), {}, True, True),  # the first step fails, as there is no message yet
+        (("Step", "Aim"), {(0, "failure"): 0}, False, False),  # and fails for ever
+        (("Aim", "Step", "Linear"), {(2, "success"): 2}, False, False),  # acts once, then talks
+        (
+            ("Branch", "Aim", "Step"),
+            {(0, "out1"): 1, (0, "out2"): 2, (2, "failure"): 2}, True, True,
+        ),
     ],
-)
+)  # fmt: skip
 def test_what_is_a_loop_where_steps_do_not_fail(
-    names: tuple[str, ...], edges: dict[tuple[int, str], int], loops: bool
+    names: tuple[str, ...], edges: dict[tuple[int, str], int], loops: bool, lasts: bool
 ) -> None:
-    assert looping(chain(REWARDED, *names, edges=edges), REWARDED).tolist() == [loops]
+    graph = chain(REWARDED, *names, edges=edges)
+    assert looping(graph, REWARDED).tolist() == [loops]
+    assert lasting(graph, REWARDED).tolist() == [lasts]
 
 
 def test_only_the_parameters_of_kept_graphs_are_drawn() -> None:
