@@ -39,7 +39,7 @@ train: setup  ## Evolve a skill up to stage S2 (ten seconds)
 check: lint  ## Lint, then the fast tests: less than a minute, for every change
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(FAST)
 
-test: setup  ## Run all tests (10 to 19 minutes on two cores)
+test: setup  ## Run all tests (up to 14 minutes on two cores)
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 durations: setup  ## Run all tests, and print the 40 slowest
@@ -74,7 +74,7 @@ gpu: setup  ## Test all kernels on this machine's GPU, and time them
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -m '' tests/simulation/test_gpu_engine.py tests/evolution/test_gpu_operators.py tests/native/test_gpu.py
 	$(BIN)/python tools/benchmark.py --device cuda
 
-hostile: setup  ## Damage files, and kill runs, ranks and a robot's run (half an hour)
+hostile: setup  ## Damage files, and kill runs, ranks and a robot's run (three quarters of an hour)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m hostile
 	$(BIN)/python tools/fuzz.py
 	$(BIN)/python tools/kill_and_resume.py "$$(mktemp --directory)"

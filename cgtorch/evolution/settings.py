@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator
 
+from cgtorch.evolution.first_graphs import random_graphs, varied_graphs
 from cgtorch.evolution.fitness import (
     Fitness,
     chance_of_success,
@@ -24,9 +25,7 @@ from cgtorch.evolution.population import (
     bounds,
     check_offspring,
     initial_strategy,
-    random_graphs,
     random_population,
-    varied_graphs,
 )
 from cgtorch.evolution.racing import MakeEvaluator
 from cgtorch.evolution.selection import Selection, lexicase, tournament

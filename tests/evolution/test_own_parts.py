@@ -21,8 +21,9 @@ from cgtorch.evolution import (
     search,
     tell,
 )
+from cgtorch.evolution.first_graphs import random_graphs
 from cgtorch.evolution.operators import crossover
-from cgtorch.evolution.population import random_graphs, random_population
+from cgtorch.evolution.population import random_population
 from cgtorch.graphs import NO_NODE, ActionSet, Graphs, pruned, widened
 from cgtorch.ground.errors import SettingsError
 from cgtorch.simulation import Rollouts, rollout
