@@ -24,7 +24,7 @@ def gymnasium_steps(effort: Effort) -> Line:
         compared="steps of an environment under a linear policy, one thread / the same actions in "
         "a bare loop",
         unit="of the loop's speed",
-        target=0.6,
+        target=0.5,
         clock="CPU",
         threads=1,
         parts=parts,
