@@ -92,18 +92,14 @@ def looping(graphs: Graphs, actions: ActionSet) -> Tensor:
 
 
 def lasting(graphs: Graphs, actions: ActionSet) -> Tensor:
-    """(P,) bool, whether all nodes of a graph lead to a step that is carried out again and again.
+    """(P,) bool, whether a graph acts again and again, as all of its nodes lead to steps.
 
-    Messages are sent as for `looping`, but later steps may repeat the first one.
+    So does what follows a step. Messages are sent as for `looping`, but later steps may repeat the
+    first one.
     """
     followed, steps, every = _followed(graphs, actions)
-    again = torch.zeros_like(steps)
     for node in range(graphs.capacity):
-        after = followed.edges[:, node, 0]
-        back = reachable(replace(followed, start=after.clamp_min(0)))[:, node]
-        again[:, node] = steps[:, node] & (after != NO_NODE) & back
-    for node in range(graphs.capacity):
-        every &= ~graphs.used[:, node] | (_from(followed, node) & again).any(1)
+        every &= ~graphs.used[:, node] | (_from(followed, node) & steps).any(1)
     return every
 
 

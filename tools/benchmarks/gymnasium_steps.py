@@ -35,7 +35,7 @@ def _of(name: str, most: int, effort: Effort) -> Comparison:
     domain = cgtorch.make(f"gymnasium:{name}")
     scenarios = domain.draw(domain.kinds[0], MOST, Generator().manual_seed(0))
     world, actions = domain.world(scenarios), domain.actions()
-    graph = looping(actions)
+    graph = linear_policy(actions)
 
     def ours() -> Tensor:
         runs = cgtorch.rollout(graph, actions, world, max_transitions=3 * most)
@@ -60,7 +60,7 @@ def _of(name: str, most: int, effort: Effort) -> Comparison:
     )
 
 
-def looping(actions: ActionSet) -> Graphs:
+def linear_policy(actions: ActionSet) -> Graphs:
     """A linear policy with weights of zero that acts again after each step."""
     place = {name: index for index, name in enumerate(actions.names)}
     size = max(action.num_parameters for action in actions.actions)
