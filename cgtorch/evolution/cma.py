@@ -1,5 +1,8 @@
 """CMA-ES (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772), with its constants.
 
+The worse half of samples lowers the variance along their steps (active CMA-ES: Jastrebski and
+Arnold, "Improving evolution strategies through active covariance matrix adaptation", CEC 2006).
+
 Of many parameters, only the variances are learned, with the rates of sep-CMA-ES (Ros and Hansen, "A
 simple modification in CMA-ES achieving linear time and space complexity", PPSN 2008). There an
 update has far fewer samples than parameters, so that the worse half tells as much as the better
@@ -89,20 +92,25 @@ def updated(distribution: Distribution, samples: Tensor, fitness: Tensor) -> Dis
 def _together(old: Distribution, steps: Tensor) -> Distribution:
     """The update of the tutorial by steps (λ, n), the best one first."""
     weights, n = _weights(len(steps)), len(old.mean)
-    mass, steps = 1 / float(weights.square().sum()), steps[: len(weights)]  # μ_eff
+    better, mass = len(weights), 1 / float(weights.square().sum())  # μ, μ_eff
     c_path, c_one, c_many = _covariance_rates(n, mass)
-    shift = weights @ steps
+    shift = weights @ steps[:better]
     basis, scale = axes(old.covariance)
     assert basis is not None  # noqa: S101  as covariances are learned
-    white = basis @ ((basis.T @ shift) / scale)
-    step_path, step, length = _step_after(old, white * math.sqrt(mass), mass)
+    white = (steps @ basis) / scale
+    moved = basis @ (weights @ white[:better])
+    step_path, step, length = _step_after(old, moved * math.sqrt(mass), mass)
     c_step = _step_rate(n, mass)
     grown = math.sqrt(1 - (1 - c_step) ** (2 * (old.updates + 1)))
     calm = float(length / grown < 1.4 + 2 / (n + 1))
     path = (1 - c_path) * old.path + calm * math.sqrt(c_path * (2 - c_path) * mass) * shift
-    kept = 1 - c_one - c_many + (1 - calm) * c_one * c_path * (2 - c_path)
-    many = (steps.T * weights) @ steps
-    covariance = kept * old.covariance + c_one * path.outer(path) + c_many * many
+    doubts = _doubts(len(steps))
+    c_worse = _rate_of_worse(n, mass, float(1 / doubts.square().sum()))
+    # Each worse step counts as if it had the usual length, so that variances stay above 0.
+    lengths = white[better:].square().sum(1).clamp_min(LEAST_VARIANCE)
+    every = torch.cat([c_many * weights, -c_worse * doubts * n / lengths])
+    kept = 1 - c_one - c_many + c_worse + (1 - calm) * c_one * c_path * (2 - c_path)
+    covariance = kept * old.covariance + c_one * path.outer(path) + (steps.T * every) @ steps
     mean = old.mean + shift * old.step
     return Distribution(mean, step, covariance, path, step_path, old.updates + 1)
 
@@ -151,6 +159,13 @@ def _weights(count: int) -> Tensor:
     return weights / weights.sum()
 
 
+def _doubts(count: int) -> Tensor:
+    """(λ - μ,) weights of the worse half of `count` samples, the worst one last; their sum is 1."""
+    ranks = torch.arange(count // 2 + 1, count + 1, dtype=torch.float64)
+    doubts = (ranks.log() - math.log((count + 1) / 2)).clamp_min(0)
+    return doubts / doubts.sum()
+
+
 def _pull(count: int) -> Tensor:
     """(λ,) by how much samples move the mean, the best one first; their sum is 0.
 
@@ -169,3 +184,10 @@ def _covariance_rates(n: int, mass: float) -> tuple[float, float, float]:
     c_one = 2 / ((n + 1.3) ** 2 + mass)
     c_many = 2 * (mass - 2 + 1 / mass) / ((n + 2) ** 2 + mass)
     return c_path, c_one, min(1 - c_one, c_many)
+
+
+def _rate_of_worse(n: int, mass: float, mass_of_worse: float) -> float:
+    """The rate by which worse samples lower variances (the tutorial's equations 50 to 53)."""
+    _, c_one, c_many = _covariance_rates(n, mass)
+    by_mass = c_many * (1 + 2 * mass_of_worse / (mass + 2))
+    return min(c_one + c_many, by_mass, (1 - c_one - c_many) / n)

@@ -31,7 +31,6 @@ from cgtorch.improvement.imagined_state import (
     Models,
     State,
 )
-from cgtorch.improvement.mean_search import KNOWN
 from cgtorch.improvement.pace import BY_ROLLOUT
 from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.played import OneEpisode, Steps, played, tried_out
@@ -142,7 +141,7 @@ class Search:
     def promising(self, state: State) -> bool:
         """Whether the holder is worth enough, as far as it is known, to be played in the world."""
         holder = state.inner.holder
-        if holder is None or holder.count < KNOWN:
+        if holder is None or holder.count < BY_ROLLOUT.known:
             return False
         return self._enough(state, holder.mean, holder.error * (holder.count / FRESH) ** 0.5)
 

@@ -12,7 +12,7 @@ import torch
 from torch import Generator
 
 from cgtorch.evolution import EvolutionSettings, Generation, Population
-from cgtorch.evolution.fitness import WORST
+from cgtorch.evolution.fitness import WORST, episode_return
 from cgtorch.evolution.population import initial_strategy, join
 from cgtorch.evolution.selection import ranking
 from cgtorch.graphs import Graphs, Skill, compacted, merged
@@ -27,7 +27,6 @@ from cgtorch.improvement.tuning import SAMPLES, Tuning, begun, update
 
 OFTEN = 5  # generations after which the mean of a holder that stays is known better
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
-KNOWN = 16  # values of the holder from which its mean is compared with the target
 TRIED, CERTAIN = 100, 2.0  # values with which it has to hold, by so many standard errors
 ENDLESS = 10  # generations in which no episode ends, after which a search is hopeless
 
@@ -93,12 +92,19 @@ class MeanSearch:
     def _promising(self, state: State) -> bool:
         """Whether the mean of the holder, as far as it is known, has reached the target."""
         holder = state.holder
-        if holder is None or holder.count < KNOWN:
+        if holder is None or holder.count < self.fresh.pace.known:
             return False
         return holder.mean >= self.setup.budget.satisfied
 
     def _champion_raced(self, state: State, generation: Generation, generator: Generator) -> State:
-        """The state after a race of the champion, from which tuning goes on if it has its nodes."""
+        """The state after a race of the champion, from which tuning goes on if it has its nodes.
+
+        The best of many has been lucky, so it has no chance if even its own return is less than the
+        holder's mean.
+        """
+        told, holder = self.setup.evolution.fitness is episode_return, state.holder
+        if told and holder is not None and generation.best < holder.mean:
+            return state
         champion, tuning = self.skill_of(generation.champion.graphs), state.tuning
         state, won = self._raced(state, champion, generator)
         if not won or tuning is None:
@@ -142,7 +148,8 @@ class MeanSearch:
         holder = state.holder
         if holder is None or (number % OFTEN and holder.count):
             return state
-        count, before = max(KNOWN, state.need.scenarios), self.fresh.executed
+        count = max(self.fresh.pace.known, state.need.scenarios)
+        before = self.fresh.executed
         values = self.fresh.of_skills([holder.skill], count, generator)[0]
         raced = state.spent.raced + self.fresh.executed - before
         return replace(state, holder=holder.met(values), spent=replace(state.spent, raced=raced))
@@ -263,9 +270,11 @@ class MeanSearch:
 
     def certain(self, state: State, generator: Generator) -> tuple[State, bool]:
         """The state with a mean that is known better, and whether it is at least the target."""
-        holder, target = state.holder, self.setup.budget.satisfied
-        if holder is None or not self._promising(state):
-            return state, False
-        if (missing := TRIED - holder.count) > 0:
-            holder = holder.met(self.fresh.of_skills([holder.skill], missing, generator)[0])
-        return replace(state, holder=holder), holder.mean - CERTAIN * holder.error >= target
+        while (holder := state.holder) is not None and self._promising(state):
+            missing = min(holder.count, TRIED - holder.count)
+            if missing <= 0:
+                low = holder.mean - CERTAIN * holder.error
+                return state, low >= self.setup.budget.satisfied
+            values = self.fresh.of_skills([holder.skill], missing, generator)[0]
+            state = replace(state, holder=holder.met(values))
+        return state, False

@@ -20,6 +20,7 @@ class Pace:
         ahead: What wins races is tuned so many times as much as its rivals.
         rungs: Updates after which the worse half of the rivals ends.
         racing: The search executes so many times as many actions as races and their winners' tests.
+        known: Number of episodes by which the mean of a new holder is known.
     """
 
     at_once: int
@@ -27,10 +28,11 @@ class Pace:
     ahead: int
     rungs: tuple[int, int]
     racing: int
+    known: int
 
 
-BY_STEP = Pace(1, False, 5, (5, 15), 8)
-BY_ROLLOUT = Pace(8, True, 1, (60, 180), 4)
+BY_STEP = Pace(1, False, 5, (5, 15), 8, 4)
+BY_ROLLOUT = Pace(8, True, 1, (60, 180), 4, 16)
 
 
 def pace_of(environment: Environment) -> Pace:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from cgtorch.evolution import Population
+from cgtorch.evolution.first_graphs import looping
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.evolution.population import slim
 from cgtorch.graphs import ActionSet, compacted
@@ -48,9 +49,14 @@ def first_rivals(
         graph = calmed(graph, actions) if random[row] else graph
         if (tuning := begun(graph, actions, scenarios)) is not None:
             found.append(tuning)
-    first = {each.kind: each for each in reversed(found)}.values()
+    first = {_kind(each, actions): each for each in reversed(found)}.values()
     found.sort(key=lambda each: all(each is not one for one in first))
     return tuple(found[:count])
+
+
+def _kind(rival: Tuning, actions: ActionSet) -> tuple[bool, tuple[int, ...]]:
+    """The kind of a rival, and whether it acts by all that it sees, not by what it saw first."""
+    return bool(looping(rival.graph, actions)), rival.kind
 
 
 def halved(rivals: Sequence[Tuning], rungs: Sequence[int]) -> tuple[Tuning, ...]:
@@ -84,11 +90,11 @@ def next_rival(rivals: Sequence[Tuning]) -> int:
 
 
 def simplest(rivals: Sequence[Tuning], actions: ActionSet) -> Tuning:
-    """The rival with the least memory, and of these that with the fewest parameters."""
+    """The rival with the least memory, and of these a loop with the fewest parameters."""
 
-    def size(rival: Tuning) -> tuple[int, int]:
+    def size(rival: Tuning) -> tuple[int, bool, int]:
         used = rival.graph.action[0].unique()
         memory = sum(actions.actions[place].memory_size for place in used[used >= 0].tolist())
-        return memory, len(rival.distribution.mean)
+        return memory, not _kind(rival, actions)[0], len(rival.distribution.mean)
 
     return min(rivals, key=size)

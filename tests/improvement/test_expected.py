@@ -26,7 +26,6 @@ from cgtorch.improvement.events import (
     SkillAccepted,
 )
 from cgtorch.improvement.expected import improve_expected
-from cgtorch.improvement.mean_search import KNOWN
 from cgtorch.improvement.pace import BY_ROLLOUT
 from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.improvement.spread import FEWEST
@@ -186,7 +185,7 @@ def test_what_is_found_is_told_with_its_result_on_the_tests() -> None:
     assert done.limit == 1
     first, *later = of_kind(told, MeanTested)
     assert first.new
-    assert first.tried >= KNOWN
+    assert first.tried >= BY_ROLLOUT.known
     assert [each.new for each in later] == [
         one.skill is not two.skill for one, two in itertools.pairwise([first, *later])
     ]

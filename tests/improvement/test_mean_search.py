@@ -9,12 +9,11 @@ from lottery import ACTIONS, PaidLottery, idle, staking, tickets
 from support import same, seeded
 from torch import Generator
 
-from cgtorch.evolution import REWARDS, Generation, evolve
+from cgtorch.evolution import REWARDS, Generation, chance_of_success, evolve
 from cgtorch.graphs import ActionSet, BranchingNN, Skill
 from cgtorch.improvement.expected_state import SHARE, Spent, State
 from cgtorch.improvement.mean_search import (
     CERTAIN,
-    KNOWN,
     LARGEST,
     OFTEN,
     TRIED,
@@ -68,11 +67,11 @@ def test_a_generation_is_counted_and_its_champion_is_the_first_holder() -> None:
         generation.transitions,
         generation.executed,
         episodes=generation.scores.numel(),
-        raced=max(KNOWN, first.need.scenarios),  # an action for each value of the holder
+        raced=max(BY_STEP.known, first.need.scenarios),  # an action for each value of the holder
     )
     assert first.holder is not None
     assert same(first.holder.skill.graph, search.skill_of(generation.champion.graphs).graph)
-    assert first.holder.count == max(KNOWN, first.need.scenarios)
+    assert first.holder.count == max(BY_STEP.known, first.need.scenarios)
     assert first.tuning is not None
     assert len(first.rivals) == 2
     assert all(each is not first.tuning for each in first.rivals)
@@ -125,6 +124,21 @@ def test_the_mean_of_a_holder_is_known_better_now_and_then(number: int, known: b
     assert after.holder.count - holder.count == more
 
 
+def test_a_champion_with_a_smaller_return_than_the_mean_of_the_holder_has_no_race() -> None:
+    search = search_of()
+    generation = generation_of(search)
+    holder = Holder(staking(1.0)).met(torch.tensor([generation.best, generation.best + 0.1]))
+    state = State(holder=holder, spent=Spent(episodes=10**4))
+    for best, races in ((holder.mean - 0.01, False), (holder.mean, True)):
+        later = replace(generation, best=best, number=1)
+        after = next(search.after(state, later, seeded(1)))
+        assert (after.spent.raced > 0) is races
+    # Chances of success may be smaller than shares of success.
+    search = search_of(fitness=chance_of_success)
+    after = next(search.after(state, replace(generation, best=-1.0, number=1), seeded(1)))
+    assert after.spent.raced > 0
+
+
 def test_who_finishes_no_episode_holds_nothing() -> None:
     search = search_of(lineages=0)
     generation = generation_of(search)
@@ -154,17 +168,17 @@ def test_generations_look_for_structures_and_half_of_them_are_new() -> None:
 def test_the_target_is_reached_by_a_mean_that_is_known_well() -> None:
     search = search_of(satisfied=1.5)
     good, lucky = Holder(staking(1.0)), Holder(staking(-1.0))
-    few = torch.full((KNOWN,), 1.8)
+    few = torch.full((16,), 1.8)
     state, reached = search.certain(State(holder=good.met(few)), seeded(0))
     assert reached
     assert state.holder is not None
     assert state.holder.count == TRIED
-    assert search.fresh.episodes == TRIED - KNOWN
+    assert search.fresh.episodes == TRIED - len(few)
     state, reached = search.certain(State(holder=lucky.met(few)), seeded(0))
     assert not reached
     assert state.holder is not None
-    assert state.holder.count == TRIED
-    for unsure in (None, good.met(few[1:]), good.met(few - 0.4)):
+    assert len(few) < state.holder.count < TRIED  # after which its luck is over
+    for unsure in (None, good.met(few[: BY_STEP.known - 1]), good.met(few - 0.4)):
         same_one = State(holder=unsure)
         assert search.certain(same_one, seeded(0)) == (same_one, False)
     # Nothing more is played of what is known well, which has to be better by standard errors.

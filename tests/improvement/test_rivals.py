@@ -8,10 +8,19 @@ from support import custom_actions, same, seeded
 from torch import Tensor
 
 from cgtorch.evolution import Population
+from cgtorch.evolution.first_graphs import looping
 from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.population import initial_strategy, random_population
 from cgtorch.evolution.racing import contents
-from cgtorch.graphs import ActionSet, Graphs, LinearNN, RecurrentNN, concatenate
+from cgtorch.graphs import (
+    NO_NODE,
+    ActionSet,
+    Graphs,
+    LinearNN,
+    RecurrentNN,
+    concatenate,
+    reward_actions,
+)
 from cgtorch.improvement.rivals import (
     best,
     compared,
@@ -66,6 +75,24 @@ def test_the_best_of_each_kind_come_first_in_the_order_of_their_fitness() -> Non
     assert order[:count] == sorted(order[:count])
     assert order[count:] == sorted(order[count:])
     assert [each.kind for each in first_rivals(*about, 2, actions, 7)] == kinds[:2]
+
+
+def test_a_loop_is_another_kind_than_what_repeats_its_first_action_and_simpler() -> None:
+    actions = reward_actions(2, 1)
+    names = [type(action).__name__ for action in actions.actions]
+    linear, step = names.index("LinearNN"), names.index("Step")
+    action = torch.tensor([[linear, step], [linear, step]])
+    edges = torch.full((2, 2, actions.outcome_capacity), NO_NODE)
+    edges[:, 0, 0], edges[:, 1, 0] = 1, torch.tensor([1, 0])  # the first one repeats its step
+    edges[:, 1, 1] = 0
+    parameters = actions.parameters_of(action, seeded(0))
+    both = Graphs(action, edges, parameters, torch.zeros(2, dtype=torch.long))
+    assert looping(both, actions).tolist() == [False, True]
+    many = Population(both[torch.tensor([0, 0, 1])], initial_strategy(3))
+    worth, nobody = torch.tensor([3.0, 2.0, 1.0]), torch.zeros(3, dtype=torch.bool)
+    found = first_rivals(many, worth, torch.arange(3), nobody, 2, actions, 1)
+    assert [bool(looping(each.graph, actions)) for each in found] == [False, True]
+    assert simplest(found, actions) is found[1]
 
 
 def test_the_best_is_one_that_is_compared() -> None:
