@@ -178,13 +178,13 @@ def plots(figures: dict[str, Figure]) -> dict[str, str]:
         axes = drawing.subplots()
         for library, marker in zip(libraries, "osD^v", strict=False):
             rows = [r for r in figure["rows"] if r[1] == library and r[-1] != UNSOLVED]
-            seconds = [float(row[-1].split()[0]) for row in rows]
+            episodes = [int(row[-2].split()[0].replace(",", "")) for row in rows]
             where = [tasks.index(row[0]) for row in rows]
-            axes.scatter(seconds, where, marker=marker, label=library)
+            axes.scatter(episodes, where, marker=marker, label=library)
         axes.set_yticks(range(len(tasks)), tasks)
         axes.invert_yaxis()
         axes.set_xscale("log")
-        axes.set_xlabel("CPU seconds until solved, median (lower is better)")
+        axes.set_xlabel("Episodes until solved, median (fewer are better)")
         drawing.legend(loc="outside upper center", ncols=len(libraries))
         file = io.StringIO()
         drawing.savefig(file, format="svg", metadata={"Date": None})
