@@ -171,14 +171,15 @@ def plots(figures: dict[str, Figure]) -> dict[str, str]:
     from matplotlib.figure import Figure as Drawing
 
     figure = figures["standard_tasks"]
+    cost = figure["columns"].index("episodes")
     tasks = list(dict.fromkeys(row[0] for row in figure["rows"]))
-    libraries = list(dict.fromkeys(row[1] for row in figure["rows"] if row[-1] != UNSOLVED))
+    libraries = list(dict.fromkeys(row[1] for row in figure["rows"] if row[cost] != UNSOLVED))
     with mpl.rc_context({"svg.hashsalt": "cgtorch", "font.size": 9}):
         drawing = Drawing(figsize=(7, 3.4), layout="constrained")
         axes = drawing.subplots()
         for library, marker in zip(libraries, "osD^v", strict=False):
-            rows = [r for r in figure["rows"] if r[1] == library and r[-1] != UNSOLVED]
-            episodes = [int(row[-2].split()[0].replace(",", "")) for row in rows]
+            rows = [r for r in figure["rows"] if r[1] == library and r[cost] != UNSOLVED]
+            episodes = [int(row[cost].split()[0].replace(",", "")) for row in rows]
             where = [tasks.index(row[0]) for row in rows]
             axes.scatter(episodes, where, marker=marker, label=library)
         axes.set_yticks(range(len(tasks)), tasks)

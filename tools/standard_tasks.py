@@ -64,7 +64,7 @@ Work: TypeAlias = tuple[str, str, int]
 @click.option("--json", "as_json", is_flag=True, help="Print JSON in place of the table.")
 @click.option("--output", type=click.Path(path_type=Path), help="Where results are kept.")
 @click.option("--kept-only", is_flag=True, help="Measure nothing, show what --output holds.")
-@click.option("--figure", type=click.Path(path_type=Path), help="Whose rows are replaced.")
+@click.option("--figure", type=click.Path(path_type=Path), help="Whose rows of these are replaced.")
 def command(
     only: tuple[str, ...],
     library: tuple[str, ...],
@@ -101,7 +101,9 @@ def command(
         click.echo(markdown(about))
     if figure:
         shown = read_json(figure)
-        write_json(figure, shown | {"rows": figure_rows(about, shown["columns"])})
+        new = {tuple(row[:2]): row for row in figure_rows(about, shown["columns"])}
+        rows = [new.pop(tuple(row[:2]), row) for row in shown["rows"]]
+        write_json(figure, shown | {"rows": [*rows, *new.values()]})
 
 
 def _budget(task: str, evaluations: int, cpu_seconds: float | None) -> Budget:

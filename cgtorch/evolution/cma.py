@@ -162,7 +162,7 @@ def _weights(count: int) -> Tensor:
 def _doubts(count: int) -> Tensor:
     """(λ - μ,) weights of the worse half of `count` samples, the worst one last; their sum is 1."""
     ranks = torch.arange(count // 2 + 1, count + 1, dtype=torch.float64)
-    doubts = (ranks.log() - math.log((count + 1) / 2)).clamp_min(0)
+    doubts = (ranks.log() - math.log((count + 1) / 2)).clamp_min(0)  # only rounding is below
     return doubts / doubts.sum()
 
 

@@ -102,8 +102,8 @@ class MeanSearch:
         The best of many has been lucky, so it has no chance if even its own return is less than the
         holder's mean.
         """
-        told, holder = self.setup.evolution.fitness is episode_return, state.holder
-        if told and holder is not None and generation.best < holder.mean:
+        returns, holder = self.setup.evolution.fitness is episode_return, state.holder
+        if returns and holder is not None and generation.best < holder.mean:
             return state
         champion, tuning = self.skill_of(generation.champion.graphs), state.tuning
         state, won = self._raced(state, champion, generator)

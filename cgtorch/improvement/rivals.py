@@ -49,14 +49,15 @@ def first_rivals(
         graph = calmed(graph, actions) if random[row] else graph
         if (tuning := begun(graph, actions, scenarios)) is not None:
             found.append(tuning)
-    first = {_kind(each, actions): each for each in reversed(found)}.values()
+    kinds = ((each.kind, _loops(each, actions)) for each in reversed(found))
+    first = dict(zip(kinds, reversed(found), strict=True)).values()
     found.sort(key=lambda each: all(each is not one for one in first))
     return tuple(found[:count])
 
 
-def _kind(rival: Tuning, actions: ActionSet) -> tuple[bool, tuple[int, ...]]:
-    """The kind of a rival, and whether it acts by all that it sees, not by what it saw first."""
-    return bool(looping(rival.graph, actions)), rival.kind
+def _loops(rival: Tuning, actions: ActionSet) -> bool:
+    """Whether a rival acts by all that it sees, and not for ever by what it saw first."""
+    return bool(looping(rival.graph, actions))
 
 
 def halved(rivals: Sequence[Tuning], rungs: Sequence[int]) -> tuple[Tuning, ...]:
@@ -90,11 +91,11 @@ def next_rival(rivals: Sequence[Tuning]) -> int:
 
 
 def simplest(rivals: Sequence[Tuning], actions: ActionSet) -> Tuning:
-    """The rival with the least memory, and of these a loop with the fewest parameters."""
+    """The rival with the least memory; of these a loop, then the one with fewest parameters."""
 
     def size(rival: Tuning) -> tuple[int, bool, int]:
         used = rival.graph.action[0].unique()
         memory = sum(actions.actions[place].memory_size for place in used[used >= 0].tolist())
-        return memory, not _kind(rival, actions)[0], len(rival.distribution.mean)
+        return memory, not _loops(rival, actions), len(rival.distribution.mean)
 
     return min(rivals, key=size)

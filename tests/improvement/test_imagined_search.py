@@ -147,10 +147,7 @@ def test_the_search_in_models_plays_what_is_imagined_and_never_has_enough(begun:
 
 def test_a_holder_is_promising_if_enough_values_are_surely_enough(begun: State) -> None:
     """A mean of 9 with a standard deviation of 10 has an error of 1 on 100 fresh episodes."""
-    total, squares = (
-        9.0 * KNOWN,
-        (100 * (KNOWN - 1) / KNOWN + 81) * KNOWN,
-    )
+    total, squares = 9.0 * KNOWN, (100 * (KNOWN - 1) / KNOWN + 81) * KNOWN
 
     def promising(satisfied: float, count: int = KNOWN) -> bool:
         share = count / KNOWN

@@ -234,18 +234,21 @@ def test_seconds_take_the_place_of_those_of_the_task(monkeypatch: pytest.MonkeyP
     assert BUDGETS.keys() == TASKS.keys()
 
 
-def test_rows_of_a_figure_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_of_a_figure_are_replaced_and_others_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     figure = tmp_path / "figure.json"
     columns = ["task", "library", "solved", "world steps"]
-    figure.write_text(json.dumps({"title": "Tasks", "columns": columns, "rows": [["old"]]}))
+    peer = ["CartPole", "evosax", "9 of 9", "7"]
+    old = [["CartPole", "cgtorch", "0 of 1", "–"], peer]
+    figure.write_text(json.dumps({"title": "Tasks", "columns": columns, "rows": old}))
     monkeypatch.setattr(standard_tasks, "apart", lambda *words: found(*words[:3]))
     words = ["--only", "cartpole", "--library", "cgtorch", "--library", "one lineage"]
     assert run(*words, "--seeds", "3:4", "--figure", str(figure)).exit_code == 0
     written = json.loads(figure.read_text())
     assert written["title"] == "Tasks"
-    assert written["rows"] == [
-        ["CartPole", name, "1 of 1", "3"] for name in ("cgtorch", "one lineage")
-    ]
+    new = [["CartPole", name, "1 of 1", "3"] for name in ("cgtorch", "one lineage")]
+    assert written["rows"] == [new[0], peer, new[1]]
 
 
 def test_what_has_failed_is_said_and_made_again(
