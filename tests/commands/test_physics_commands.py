@@ -32,6 +32,7 @@ def test_a_kinematic_skill_in_physics(shell: Shell, run: Path) -> None:
         assert "world is 'moon'; use one of kinematic, mujoco" in message
 
 
+@pytest.mark.hostile
 def test_an_animated_picture_of_a_skill(run: Path, tmp_path: Path) -> None:
     film = tmp_path / "skill.gif"
     ended = in_a_shell("cgtorch-view", str(run), "--scenarios", "near", "--film", str(film))

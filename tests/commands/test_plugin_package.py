@@ -68,6 +68,7 @@ def test_it_is_found_by_name(installed: Path) -> None:
     assert module == "reaching_actions.approach"
 
 
+@pytest.mark.hostile
 def test_a_run_is_trained_with_it_and_tried_again(
     shell: Shell, installed: Path, tmp_path: Path
 ) -> None:

@@ -69,6 +69,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return exported("onnx", tmp_path_factory)
 
 
+@pytest.mark.hostile
 def test_five_hundred_percepts(data: bytes) -> None:
     _, skill = reference()
     runs, _ = by_the_library(skill, world(12, 90))
@@ -83,6 +84,7 @@ def test_a_skill_that_computes_nothing() -> None:
     replayed(to_onnx(skill, percept_size=7), runs)
 
 
+@pytest.mark.hostile
 def test_the_model_is_whole_and_tells_nothing_else(data: bytes) -> None:
     proto = onnx.load_from_string(data)
     onnx.checker.check_model(proto, full_check=True)

@@ -129,6 +129,7 @@ def test_a_domain_can_be_pickled_for_another_process() -> None:
     assert torch.equal(world.start(torch.tensor([0]))[1], mine)
 
 
+@pytest.mark.hostile
 def test_a_skill_is_trained_counted_and_tried(tmp_path: Path) -> None:
     """One after the other; what the first has learned is kept, and steps are counted by phase."""
     few = {"population": 12, "practice": 6}
