@@ -91,7 +91,7 @@ def updated(distribution: Distribution, samples: Tensor, fitness: Tensor) -> Dis
 
 def _together(old: Distribution, steps: Tensor) -> Distribution:
     """The update of the tutorial by steps (λ, n), the best one first."""
-    weights, n = _weights(len(steps)), len(old.mean)
+    weights, n = recombination_weights(len(steps)), len(old.mean)
     better, mass = len(weights), 1 / float(weights.square().sum())  # μ, μ_eff
     c_path, c_one, c_many = _covariance_rates(n, mass)
     shift = weights @ steps[:better]
@@ -117,7 +117,7 @@ def _together(old: Distribution, steps: Tensor) -> Distribution:
 
 def _apart(old: Distribution, steps: Tensor) -> Distribution:
     """The update where only variances are learned, by steps (λ, n), the best one first."""
-    weights, pull, n = _weights(len(steps)), _pull(len(steps)), len(old.mean)
+    weights, pull, n = recombination_weights(len(steps)), _pull(len(steps)), len(old.mean)
     mass = 1 / float(weights.square().sum())
     c_path, c_one, c_many = _covariance_rates(n, mass)
     c_one = min(1.0, c_one * (n + 2) / 3)
@@ -152,7 +152,7 @@ def _step_rate(n: int, mass: float) -> float:
     return (mass + 2) / (n + mass + 5)
 
 
-def _weights(count: int) -> Tensor:
+def recombination_weights(count: int) -> Tensor:
     """(μ,) positive weights of the better half of `count` samples; their sum is 1."""
     ranks = torch.arange(1, count // 2 + 1, dtype=torch.float64)
     weights = math.log((count + 1) / 2) - ranks.log()

@@ -1,6 +1,7 @@
 """The state of a search for the best mean (`cgtorch.improvement.expected`), and its tensors."""
 
 from dataclasses import astuple, dataclass, field, replace
+from math import inf
 
 import torch
 from torch import Tensor
@@ -99,7 +100,8 @@ class State:
         """
         if self.tuning is None or not self.rivals:
             return self.tuning is not None
-        preferred = self.tuning.winning and not any(each.toll for each in self.rivals)
+        leads = self.tuning.winning or self.tuning.level > max(each.level for each in self.rivals)
+        preferred = leads and not any(each.toll for each in self.rivals)
         weight = ahead if preferred else 1
         return self.spent.tuned < weight * self.spent.rivals
 
@@ -133,6 +135,7 @@ def _tensors_of(part: str, tuning: Tuning) -> dict[str, Tensor]:
         **population_tensors(part, _alone(tuning.graph)),
         **{f"{part}.{name}": getattr(about, name) for name in VECTORS},
         f"{part}.step": torch.tensor(about.step, dtype=torch.float64),
+        f"{part}.horizon": torch.tensor(tuning.horizon, dtype=torch.float64),
         f"{part}.counts": torch.tensor(counts),
         f"{part}.recent": torch.tensor(
             [tuning.toll, tuning.mark, tuning.reliability, *tuning.recent], dtype=torch.float64
@@ -149,7 +152,9 @@ def _from_tensors(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> 
     about = Distribution(step=float(tensors[f"{part}.step"]), updates=updates, **vectors)
     graph = population_named(part, tensors, actions)[:1].graphs
     toll, mark, reliable, *recent = tensors[f"{part}.recent"].tolist()
-    return Tuning(graph, about, scenarios, toll, bool(alone), lost, reliable, tuple(recent), mark)
+    horizon = float(tensors.get(f"{part}.horizon", torch.tensor(inf)))  # absent in earlier runs
+    counts = scenarios, toll, bool(alone), lost, reliable
+    return Tuning(graph, about, *counts, tuple(recent), mark, horizon)
 
 
 def state_from_tensors(

@@ -19,7 +19,7 @@ from cgtorch.graphs import Graphs, Skill, compacted, merged
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.expected_state import State
 from cgtorch.improvement.paired_race import Fresh, Holder, paired_race
-from cgtorch.improvement.rivals import best, compared, first_rivals, halved, next_rival, simplest
+from cgtorch.improvement.rivals import best, candidates, compared, halved, next_rival, simplest
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
@@ -135,13 +135,14 @@ class MeanSearch:
         random = place >= (len(fitness) - newcomers if generation.number else 0)
         order = ranking(fitness, population.graphs)
         order = order[order < len(fitness) - (state.tuning is not None)]
-        about = population, fitness, order, random, self.setup.evolution.lineages
-        actions = self.setup.actions
-        rivals = first_rivals(*about, actions, state.need.scenarios // FEWEST)
-        if generation.number or not rivals:
-            return replace(state, rivals=rivals)
-        first = simplest(rivals, actions)
-        return replace(state, tuning=first, rivals=tuple(r for r in rivals if r is not first))
+        count, actions = self.setup.evolution.lineages, self.setup.actions
+        about = population, fitness, order, random, count, actions
+        found = candidates(*about, state.need.scenarios // FEWEST)
+        if generation.number or not found:
+            return replace(state, rivals=found[:count])
+        first = simplest(found, actions)
+        others = tuple(each for each in found if each is not first)[: count - 1]
+        return replace(state, tuning=first, rivals=others)
 
     def _met(self, state: State, number: int, generator: Generator) -> State:
         """The state with further values of the holder, at once if it is new, else now and then."""
@@ -169,6 +170,11 @@ class MeanSearch:
     def _affords(self, state: State) -> bool:
         """Whether the mean of a tuning may race: its episodes may be far longer than samples'."""
         return state.left(self.fresh.pace.racing) > 0
+
+    def _promises(self, state: State, tuning: Tuning) -> bool:
+        """Whether already the samples of a tuning are clearly better than the holder."""
+        holder = state.holder
+        return holder is not None and tuning.level > holder.mean + CERTAIN * holder.error
 
     def _tuning(self, state: State) -> Tuning | None:
         """The first tuning of the holder; None if that is of no use."""
@@ -219,9 +225,12 @@ class MeanSearch:
         """The state after an update of the holder's tuning, and a race of its mean if it is due."""
         if tuning.distribution.updates == 1:
             state = replace(state, rivals=self._with_other_toll(state, tuning))
-        if not tuning.due or not self._affords(state):
+        affords = self._affords(state)
+        if not tuning.due or not (affords or self._promises(state, tuning)):
             return state
-        state, tuning, _ = self._mean_raced(state, tuning, generator)
+        state, tuning, won = self._mean_raced(state, tuning, generator)
+        if not affords and not won:
+            return state
         if not tuning.stalled:
             return replace(state, tuning=tuning)
         state = replace(state, rivals=self._with_other_toll(state, tuning))

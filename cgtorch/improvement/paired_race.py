@@ -15,7 +15,7 @@ from torch import Generator, Tensor
 from cgtorch.graphs import ActionSet, Graphs, Skill, concatenate, widened
 from cgtorch.ground.environment import Environment
 from cgtorch.improvement.pace import BY_STEP, Pace
-from cgtorch.simulation import shared_rollout
+from cgtorch.simulation import Rollouts, shared_rollout
 
 FIRST = 4  # pairs of the first look, times those at once, which only a clear loss decides
 SURE, AT_LAST = 3.0, 1.64  # standard errors by which it has to be better, and after the last pair
@@ -79,17 +79,12 @@ class Fresh:
     episodes: int = 0
     executed: int = 0
 
-    def played(
-        self, graphs: Graphs, actions: ActionSet, world: Environment
-    ) -> tuple[Tensor, Tensor]:
-        """(P, B) what counts of P graphs, and (P, B) the transitions of their episodes.
-
-        What counts are the returns, or whether they succeed.
-        """
+    def runs(self, graphs: Graphs, actions: ActionSet, world: Environment) -> Rollouts:
+        """P graphs on all B scenarios of a world."""
         runs = shared_rollout(graphs, actions, world, max_transitions=self.max_transitions)
         self.episodes += runs.succeeded.numel()
         self.executed += runs.executed
-        return runs.succeeded.float() if runs.returns is None else runs.returns, runs.transitions
+        return runs
 
     def of_skills(self, skills: Sequence[Skill], count: int, generator: Generator) -> Tensor:
         """(K, count) the values of K skills on the same fresh scenarios."""
@@ -103,10 +98,15 @@ class Fresh:
         """(K, B) the values of K skills, in a single rollout if they have the same actions."""
         actions = skills[0].actions
         if any(each.actions is not actions for each in skills):
-            return torch.cat([self.played(s.graph, s.actions, world)[0] for s in skills])
+            return torch.cat([what_counts(self.runs(s.graph, s.actions, world)) for s in skills])
         nodes = max(each.graph.capacity for each in skills)
         graphs = concatenate([widened(each.graph, nodes) for each in skills])
-        return self.played(graphs, actions, world)[0]
+        return what_counts(self.runs(graphs, actions, world))
+
+
+def what_counts(runs: Rollouts) -> Tensor:
+    """(P, B) the returns of P graphs on B scenarios, or whether they succeed."""
+    return runs.succeeded.float() if runs.returns is None else runs.returns
 
 
 def paired_race(

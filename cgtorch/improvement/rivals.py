@@ -20,7 +20,7 @@ from cgtorch.improvement.tuning import Tuning, begun, calmed
 SEVERAL = 8  # individuals considered for each rival
 
 
-def first_rivals(
+def candidates(
     population: Population,
     fitness: Tensor,
     order: Tensor,
@@ -29,14 +29,14 @@ def first_rivals(
     actions: ActionSet,
     scenarios: int,
 ) -> tuple[Tuning, ...]:
-    """Up to `count` rivals of the P individuals with this fitness (P,), the best ones first.
+    """Possible rivals of the P individuals with this fitness (P,), the best of each kind first.
 
     Args:
         population: The individuals.
         fitness: (P,), of which those that did not finish an episode become no rivals.
         order: The individuals to consider, the best one first.
         random: (P,) bool, which of them are random graphs, whose parameters nothing has chosen.
-        count: The largest number of rivals.
+        count: The number of rivals that are wanted, from `SEVERAL` times as many individuals.
         actions: What nodes can do.
         scenarios: Number of fresh scenarios of an update.
     """
@@ -52,7 +52,7 @@ def first_rivals(
     kinds = ((each.kind, _loops(each, actions)) for each in reversed(found))
     first = dict(zip(kinds, reversed(found), strict=True)).values()
     found.sort(key=lambda each: all(each is not one for one in first))
-    return tuple(found[:count])
+    return tuple(found)
 
 
 def _loops(rival: Tuning, actions: ActionSet) -> bool:

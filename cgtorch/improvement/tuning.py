@@ -14,9 +14,9 @@ from cgtorch.evolution.cma import (
     updated,
     usual_count,
 )
-from cgtorch.evolution.fitness import WORST
 from cgtorch.evolution.lineages import tunable
 from cgtorch.graphs import ActionSet, Graphs, concatenate, widened
+from cgtorch.improvement.horizon import Played, played_until
 from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.spread import MANY, Need
 
@@ -52,8 +52,10 @@ class Tuning:
         alone: Whether its mean races from the start, without being compared with other rivals.
         lost: Races that the mean has lost in a row.
         reliability: How well samples of the last updates could be told apart.
-        recent: The mean values of the better half of samples, in each of the last updates.
+        recent: The mean values of the better half of samples, in each of the last updates, or in
+            the last one with whole episodes.
         mark: The level when races were last lost in a row.
+        horizon: Steps after which episodes of updates are truncated, most of the time.
     """
 
     graph: Graphs
@@ -65,6 +67,7 @@ class Tuning:
     reliability: float = Need.reliability
     recent: tuple[float, ...] = ()
     mark: float = -math.inf
+    horizon: float = math.inf
 
     def mean(self, actions: ActionSet) -> Graphs:
         """The graph with the mean of the distribution as its parameters."""
@@ -102,6 +105,12 @@ class Tuning:
     def level(self) -> float:
         """The mean of `recent`, -inf before the first update."""
         return sum(self.recent) / len(self.recent) if self.recent else -math.inf
+
+    @property
+    def whole(self) -> bool:
+        """Whether the next update has whole episodes: the first one, and those before races."""
+        updates = self.distribution.updates
+        return updates == 0 or (updates + 1) % EVERY == 0
 
     @property
     def due(self) -> bool:
@@ -179,13 +188,15 @@ def update(
     of all samples takes hardly longer. They count as one.
 
     If luck hides what differs between samples, the next update has more scenarios, up to `most`.
+    Where steps are what costs, most updates have truncated episodes (`improvement.horizon`).
     With each tuning is returned what a transition was worth (`worth_of_transitions`).
     """
     divides = not fresh.pace.together and all(each.apart for each in tunings)
     parts, worths = PARTS if divides else 1, [0.0] * len(tunings)
+    horizon = max(math.inf if each.whole else each.horizon for each in tunings)
     after = tunings
     for _ in range(parts):
-        found = _updated(after, actions, fresh, generator, most, parts)
+        found = _updated(after, actions, fresh, generator, horizon, most, parts)
         worths = [old or new for old, (_, new) in zip(worths, found, strict=True)]
         after = [tuning for tuning, _ in found]
     counted = [new.counted(old) for old, new in zip(tunings, after, strict=True)]
@@ -197,10 +208,11 @@ def _updated(
     actions: ActionSet,
     fresh: Fresh,
     generator: Generator,
+    horizon: float,
     most: int,
     parts: int,
 ) -> list[tuple[Tuning, float]]:
-    """The tunings after an update by one of so many parts of the samples."""
+    """The tunings after an update by one of so many parts of the samples, up to a horizon."""
     drawn = [_samples(each, parts, generator) for each in tunings]
     graphs = [
         with_parameters(each.graph, tunable(each.graph, actions), rows)
@@ -209,9 +221,9 @@ def _updated(
     nodes = max(each.capacity for each in graphs)
     every = concatenate([widened(each, nodes) for each in graphs])
     scenarios = max(each.scenarios for each in tunings)
-    played = fresh.played(every, actions, fresh.world(scenarios, generator))
-    values, lengths = (part.split([len(rows) for rows in drawn]) for part in played)
-    return [_after(*about, most) for about in zip(tunings, drawn, values, lengths, strict=True)]
+    world = fresh.world(scenarios, generator)
+    played = played_until(horizon, fresh, every, actions, world).split([len(x) for x in drawn])
+    return [_after(*about, horizon, most) for about in zip(tunings, drawn, played, strict=True)]
 
 
 def _samples(tuning: Tuning, parts: int, generator: Generator) -> Tensor:
@@ -221,23 +233,27 @@ def _samples(tuning: Tuning, parts: int, generator: Generator) -> Tensor:
 
 
 def _after(
-    tuning: Tuning, drawn: Tensor, values: Tensor, lengths: Tensor, most: int
+    tuning: Tuning, drawn: Tensor, played: Played, horizon: float, most: int
 ) -> tuple[Tuning, float]:
-    """A tuning after samples (λ, n) with values (λ, B) of episodes of lengths (λ, B)."""
-    values = torch.nan_to_num(values, nan=WORST).clamp_min(WORST).double()
-    worth = (values - tuning.toll * lengths).mean(1)
-    distribution = updated(tuning.distribution, drawn, worth)
-    step = distribution.step * (WIDER if flat(values) else 1.0)
-    better = values.mean(1).sort(descending=True).values[: max(1, len(values) // 2)]
+    """A tuning after samples (λ, n) have played up to a horizon."""
+    values, alike = played.values, flat(played.values)
+    distribution = updated(tuning.distribution, drawn, played.worth(tuning.toll))
     need = Need(tuning.scenarios, tuning.reliability).after(values, most)
+    scenarios = max(tuning.scenarios, need.scenarios)
+    after = replace(tuning, scenarios=scenarios, reliability=need.reliability)
+    if horizon < math.inf:
+        longer = math.inf if alike else horizon
+        return replace(after, distribution=distribution, horizon=longer), 0.0
+    step = min(WIDEST, distribution.step * (WIDER if alike else 1.0))
+    better = values.mean(1).sort(descending=True).values[: max(1, len(values) // 2)]
+    earlier = tuning.recent if tuning.horizon == math.inf else ()
     after = replace(
-        tuning,
-        distribution=replace(distribution, step=min(WIDEST, step)),
-        scenarios=max(tuning.scenarios, need.scenarios),
-        reliability=need.reliability,
-        recent=(*tuning.recent, float(better.mean()))[-RECENT:],
+        after,
+        distribution=replace(distribution, step=step),
+        recent=(*earlier, float(better.mean()))[-RECENT:],
+        horizon=played.horizon(tuning.horizon, tuning.toll),
     )
-    return after, worth_of_transitions(values, lengths)
+    return after, worth_of_transitions(values, played.lengths)
 
 
 def flat(values: Tensor) -> bool:

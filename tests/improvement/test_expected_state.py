@@ -46,6 +46,14 @@ def test_what_loses_and_what_has_a_rival_with_a_toll_has_as_many(about: dict[str
     assert not behind(100, **about)  # type: ignore[arg-type]
 
 
+def test_what_loses_races_has_more_turns_as_long_as_its_samples_are_the_best() -> None:
+    rival = replace(tuning(), recent=(2.0,))
+    for level, leads in ((2.5, True), (2.0, False), (1.5, False)):
+        own = replace(tuning(lost=DOUBTFUL), recent=(level,))
+        state = State(tuning=own, rivals=(tuning(), rival), spent=Spent(tuned=100, rivals=100))
+        assert state.behind(AHEAD) is leads
+
+
 def test_an_update_replaces_what_was_tuned_in_its_place() -> None:
     own, first, second, new = (tuning() for _ in range(4))
     state = State(tuning=own, rivals=(first, second))
@@ -100,7 +108,7 @@ def read(state: State, given: bool = False) -> State:
 def test_what_is_kept_is_what_is_read(given: bool) -> None:
     one, two = tuning(lost=2), tuning(0.25)
     one = replace(one, scenarios=7, alone=True, reliability=0.75, recent=(1.5, 2.5), mark=-3.0)
-    two = replace(two, distribution=replace(two.distribution, updates=3, step=0.3))
+    two = replace(two, distribution=replace(two.distribution, updates=3, step=0.3), horizon=48.0)
     holder = Holder(staking(0.3, 0.1), 3.5, 7.25, 4)
     spent, need = Spent(1, 2, 3, 4, 5, 6, 7), Need(12, 0.625)
     state = State(holder, one, (two, one), True, 0.1, need, spent)
@@ -111,7 +119,8 @@ def test_what_is_kept_is_what_is_read(given: bool) -> None:
         assert same(kept.graph, was.graph)
         assert torch.equal(kept.distribution.covariance, was.distribution.covariance)
         assert torch.equal(kept.distribution.mean, was.distribution.mean)
-        about = ("scenarios", "toll", "alone", "lost", "reliability", "recent", "mark", "kind")
+        about = ["scenarios", "toll", "alone", "lost", "reliability", "recent", "mark", "kind"]
+        about.append("horizon")
         assert [getattr(kept, name) for name in about] == [getattr(was, name) for name in about]
         assert kept.distribution.updates == was.distribution.updates
         assert kept.distribution.step == was.distribution.step
@@ -121,6 +130,14 @@ def test_what_is_kept_is_what_is_read(given: bool) -> None:
     assert given or found.holder.skill.name == "like"
     assert replace(found.holder, skill=holder.skill) == holder
     assert read(State()) == State()
+
+
+def test_a_tuning_of_an_earlier_version_has_whole_episodes() -> None:
+    tensors = tensors_of_state(State(tuning=replace(tuning(), horizon=48.0)), None)
+    del tensors["tuning.horizon"]
+    found = state_from_tensors(tensors, ACTIONS, LIKE, None).tuning
+    assert found is not None
+    assert found.horizon == torch.inf
 
 
 def test_a_holder_that_was_given_must_be_given_again() -> None:

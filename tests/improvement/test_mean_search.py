@@ -241,6 +241,22 @@ def test_a_mean_does_not_race_before_races_have_their_share_again(held: bool) ->
     assert (after.distribution.updates, after.lost) == (EVERY, 0)
 
 
+def test_a_mean_whose_samples_are_clearly_better_than_the_holder_races_anyway() -> None:
+    known, unknown = torch.full((50,), 0.2), torch.tensor([-50.0, 50.0] * 3)
+    raced = []
+    for values, level in ((known, -50.0), (unknown, 30.0), (known, 30.0)):
+        holder = Holder(staking(-1.0)).met(values)
+        one = tuned(staking(1.0), updates=EVERY - 1, lost=2, recent=(level,) * 3)
+        spent = replace(PLAYED, raced=10**6)
+        state = after_one(State(holder, one, (tuned(staking(0.0), updates=1),), spent=spent))
+        assert state.tuning is not None
+        assert state.holder is not None
+        # A race that is lost does not count, as it was too short for those that are won barely.
+        assert state.tuning.lost == (2 if state.holder.skill is holder.skill else 0)
+        raced.append(state.spent.raced)
+    assert raced[0] == raced[1] < raced[2]
+
+
 def test_a_rival_whose_mean_wins_is_tuned_as_the_best() -> None:
     holder = Holder(staking(-1.0)).met(torch.full((50,), 0.2))
     rival = tuned(staking(1.0), updates=EVERY - 1)

@@ -12,7 +12,7 @@ from torch import Generator
 
 from cgtorch.graphs import BranchingNN, Skill
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
-from cgtorch.improvement.paired_race import FIRST, Fresh, Holder, paired_race, student
+from cgtorch.improvement.paired_race import FIRST, Fresh, Holder, paired_race, student, what_counts
 
 BEST, GOOD, BAD = staking(1.0), staking(0.9), staking(0.0, 1.0)
 """Skills that win 90, 87.5 and 40 % of their tickets."""
@@ -107,12 +107,15 @@ def test_few_pairs_have_to_differ_more() -> None:
         assert student(deviations, 30) == pytest.approx(exact, abs=5e-5)
 
 
-def test_what_is_played_tells_how_long_episodes_are() -> None:
-    place = fresh()
+def test_what_is_played_is_counted_and_successes_or_returns_count() -> None:
     graphs = BEST.graph[torch.zeros(2, dtype=torch.long)]
-    values, lengths = place.played(graphs, BEST.actions, place.world(50, seeded(0)))
-    assert values.shape == lengths.shape == (2, 50)
-    assert lengths.tolist() == [[1] * 50] * 2
+    for paid in (False, True):
+        place = fresh(paid)
+        runs = place.runs(graphs, BEST.actions, place.world(50, seeded(0)))
+        assert (place.episodes, place.executed) == (100, 100)
+        values = what_counts(runs)
+        assert values.shape == (2, 50)
+        assert set(values.unique().tolist()) == ({0.0, 2.0} if paid else {0.0, 1.0})
 
 
 def test_a_clear_difference_is_decided_after_few_pairs() -> None:

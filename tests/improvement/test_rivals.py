@@ -22,9 +22,10 @@ from cgtorch.graphs import (
     reward_actions,
 )
 from cgtorch.improvement.rivals import (
+    SEVERAL,
     best,
+    candidates,
     compared,
-    first_rivals,
     halved,
     next_rival,
     simplest,
@@ -47,7 +48,7 @@ def firsts(graphs: list[Graphs], fitness: list[float], count: int, random: Tenso
     population = Population(concatenate(graphs), initial_strategy(len(graphs)))
     worth = torch.tensor(fitness)
     order = worth.argsort(descending=True)
-    found = first_rivals(population, worth, order, random, count, ACTIONS, 7)
+    found = candidates(population, worth, order, random, count, ACTIONS, 7)[:count]
     assert {each.scenarios for each in found} <= {7}
     return [each.graph for each in found]
 
@@ -65,7 +66,7 @@ def test_the_best_of_each_kind_come_first_in_the_order_of_their_fitness() -> Non
     many = random_population(60, actions, 4, (1, 3), seeded(0))
     worth, nobody = torch.linspace(1, 0, 60), torch.zeros(60, dtype=torch.bool)
     about = many, worth, torch.arange(60), nobody
-    every = first_rivals(*about, 60, actions, 7)
+    every = candidates(*about, 60, actions, 7)
     kinds = [each.kind for each in every]
     count = len(set(kinds))
     assert 2 < count < len(kinds)
@@ -74,7 +75,8 @@ def test_the_best_of_each_kind_come_first_in_the_order_of_their_fitness() -> Non
     order = [place[contents(each.graph)[0]] for each in every]
     assert order[:count] == sorted(order[:count])
     assert order[count:] == sorted(order[count:])
-    assert [each.kind for each in first_rivals(*about, 2, actions, 7)] == kinds[:2]
+    assert [each.kind for each in candidates(*about, 2, actions, 7)][:2] == kinds[:2]
+    assert len(candidates(*about, 2, actions, 7)) == 2 * SEVERAL
 
 
 def test_a_loop_is_another_kind_than_what_repeats_its_first_action_and_simpler() -> None:
@@ -90,8 +92,8 @@ def test_a_loop_is_another_kind_than_what_repeats_its_first_action_and_simpler()
     assert looping(both, actions).tolist() == [False, True]
     many = Population(both[torch.tensor([0, 0, 1])], initial_strategy(3))
     worth, nobody = torch.tensor([3.0, 2.0, 1.0]), torch.zeros(3, dtype=torch.bool)
-    found = first_rivals(many, worth, torch.arange(3), nobody, 2, actions, 1)
-    assert [bool(looping(each.graph, actions)) for each in found] == [False, True]
+    found = candidates(many, worth, torch.arange(3), nobody, 2, actions, 1)
+    assert [bool(looping(each.graph, actions)) for each in found][:2] == [False, True]
     assert simplest(found, actions) is found[1]
 
 

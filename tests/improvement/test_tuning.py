@@ -7,9 +7,11 @@ import torch
 from lottery import ACTIONS, Lottery, PaidLottery, idle, staking, tickets
 from support import seeded
 from torch import Generator, Tensor
+from walking import RewardedPath, chain, walking_actions, walks
 
 from cgtorch.graphs import ActionSet, Graphs, LinearNN
-from cgtorch.ground.environment import Environment
+from cgtorch.ground.environment import Environment, Lanes
+from cgtorch.improvement.horizon import HORIZONS
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP, Pace
 from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.tuning import (
@@ -33,6 +35,7 @@ from cgtorch.improvement.tuning import (
     with_parameters,
     worth_of_transitions,
 )
+from cgtorch.simulation import Rollouts
 
 
 def fresh(paid: bool = False) -> Fresh:
@@ -112,12 +115,10 @@ def test_tunings_are_updated_together_on_the_scenarios_of_the_one_that_needs_mos
 class Indifferent(Fresh):
     """Only samples beyond a distance differ in what they get."""
 
-    def played(
-        self, graphs: Graphs, actions: ActionSet, world: Environment
-    ) -> tuple[Tensor, Tensor]:
-        values, lengths = super().played(graphs, actions, world)
+    def runs(self, graphs: Graphs, actions: ActionSet, world: Environment) -> Rollouts:
+        found = super().runs(graphs, actions, world)
         far = graphs.parameters[:, 0].abs().amax(1) > 1000
-        return torch.where(far[:, None], values, torch.zeros_like(values)), lengths
+        return replace(found, succeeded=found.succeeded & far[:, None])
 
 
 def wide_tuning(pace: Pace) -> tuple[Tuning, ActionSet, Fresh]:
@@ -144,6 +145,58 @@ def test_an_update_of_many_parameters_is_divided_where_steps_count(pace: Pace, p
     few = begun(staking(0.5).graph, ACTIONS, 2)
     assert few is not None
     assert not few.apart
+
+
+class LatePath(RewardedPath):
+    """One on which only what comes after the third step counts."""
+
+    def returns(self, lanes: Lanes) -> Tensor:
+        return torch.where(lanes.state[:, 1] > 3, super().returns(lanes), 0.0)
+
+
+WALKING = walking_actions()
+
+
+def walked(
+    updates: int, horizon: float, kind: type[RewardedPath] = RewardedPath, toll: float = 0.0
+) -> tuple[Tuning, float, int]:
+    """A walk's tuning after an update, what a transition was worth, and the actions executed."""
+
+    def world(count: int, generator: Generator) -> RewardedPath:
+        drawn = walks(count, generator)
+        return kind(replace(drawn, length=torch.full_like(drawn.length, 40)))
+
+    place = Fresh(world, 99, BY_STEP)
+    found = begun(chain(WALKING, "Aim", "Step", speed=0.5), WALKING, 2, toll)
+    assert found is not None
+    distribution = replace(found.distribution, updates=updates)
+    found = replace(found, distribution=distribution, horizon=horizon, recent=(-9.0, -8.0))
+    [(after, worth)] = update([found], WALKING, place, seeded(0))
+    assert after.distribution.updates == updates + 1
+    return after, worth, place.executed
+
+
+def test_only_the_first_update_and_those_before_races_have_whole_episodes() -> None:
+    for updates in range(2 * EVERY):
+        after, _, executed = walked(updates, 3.0)
+        whole = updates in {0, EVERY - 1, 2 * EVERY - 1}
+        assert (executed > SAMPLES * 2 * 6) is whole  # of two actions in each step
+        assert (after.recent == (-9.0, -8.0)) is not whole
+        assert len(after.recent) == (1 if whole else 2)  # others had another horizon
+        assert (after.horizon == 3) is not whole
+    after, _, executed = walked(1, torch.inf)
+    assert executed > SAMPLES * 2 * 6
+    assert len(after.recent) == 3
+    assert HORIZONS[0] <= after.horizon < torch.inf
+
+
+def test_what_truncated_episodes_do_not_tell_is_told_by_whole_ones() -> None:
+    usual, _, _ = walked(1, 3.0)
+    after, worth, _ = walked(1, 3.0, LatePath)
+    assert after.horizon == torch.inf
+    assert after.distribution.step < WIDER * 0.9
+    assert after.distribution.step == pytest.approx(usual.distribution.step, rel=0.2)
+    assert worth == 0
 
 
 def test_steps_grow_on_a_plateau_up_to_a_limit() -> None:
@@ -259,11 +312,10 @@ def test_it_is_preferred_until_it_has_lost_races_in_a_row() -> None:
 class Lengthy(Fresh):
     """Episodes take the longer, the larger the first parameter is."""
 
-    def played(
-        self, graphs: Graphs, actions: ActionSet, world: Environment
-    ) -> tuple[Tensor, Tensor]:
-        values, lengths = super().played(graphs, actions, world)
-        return values, lengths + 10 * (1 + graphs.parameters[:, 0, :1])
+    def runs(self, graphs: Graphs, actions: ActionSet, world: Environment) -> Rollouts:
+        found = super().runs(graphs, actions, world)
+        longer = found.transitions + 10 * (1 + graphs.parameters[:, 0, :1])
+        return replace(found, transitions=longer)
 
 
 def test_a_toll_changes_what_is_best_and_not_what_is_told() -> None:
