@@ -135,7 +135,7 @@ def _tensors_of(part: str, tuning: Tuning) -> dict[str, Tensor]:
         **population_tensors(part, _alone(tuning.graph)),
         **{f"{part}.{name}": getattr(about, name) for name in VECTORS},
         f"{part}.step": torch.tensor(about.step, dtype=torch.float64),
-        f"{part}.horizon": torch.tensor(tuning.horizon, dtype=torch.float64),
+        f"{part}.horizon": torch.tensor([tuning.horizon, *tuning.trail], dtype=torch.float64),
         f"{part}.counts": torch.tensor(counts),
         f"{part}.recent": torch.tensor(
             [tuning.toll, tuning.mark, tuning.reliability, *tuning.recent], dtype=torch.float64
@@ -152,9 +152,10 @@ def _from_tensors(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> 
     about = Distribution(step=float(tensors[f"{part}.step"]), updates=updates, **vectors)
     graph = population_named(part, tensors, actions)[:1].graphs
     toll, mark, reliable, *recent = tensors[f"{part}.recent"].tolist()
-    horizon = float(tensors.get(f"{part}.horizon", torch.tensor(inf)))  # absent in earlier runs
+    # Runs of earlier versions have none.
+    horizon, *trail = tensors.get(f"{part}.horizon", torch.tensor([inf])).tolist()
     counts = scenarios, toll, bool(alone), lost, reliable
-    return Tuning(graph, about, *counts, tuple(recent), mark, horizon)
+    return Tuning(graph, about, *counts, tuple(recent), mark, horizon, tuple(trail))
 
 
 def state_from_tensors(

@@ -23,6 +23,7 @@ from cgtorch.improvement.truncated import truncated
 HORIZONS = tuple(2**k for k in range(4, 14))  # steps in the world
 KEPT = 0.8  # share of selection's gain that selection by truncated episodes has to have
 LENGTHS = 2.0  # of a horizon at least, in units of the mean length of episodes that ended early
+SHORTEST = 1 / 8  # of the longest episode, as shorter ones save little beside whole ones
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Played:
         It is at least twice as long as episodes that ended early, as else nothing was known of
         samples that end later than usual (Salimans et al., "Evolution strategies as a scalable
         alternative to reinforcement learning", 2017, section 2.1). It is at least half of what was
-        played before, as few samples may agree by chance.
+        played before, and an eighth of the longest episode, as few samples may agree by chance.
         """
         if not self.early.shape[2]:
             return inf
@@ -70,7 +71,7 @@ class Played:
             if selected_gain(seen, self.worth(toll)) < KEPT:
                 break
             needed = horizon
-        return max(needed, least, min(before, longest) / 2)
+        return max(needed, least, SHORTEST * longest, min(before, longest) / 2)
 
 
 def selected_gain(seen: Tensor, values: Tensor) -> float:

@@ -4,6 +4,7 @@ After each generation its champion challenges the holder, and the parameters of 
 are tuned, whose means challenge the holder, too. See `cgtorch.improvement.expected`.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,7 +24,7 @@ from cgtorch.improvement.rivals import best, candidates, compared, halved, next_
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import SAMPLES, Tuning, begun, update
+from cgtorch.improvement.tuning import SAMPLES, TRAIL, Tuning, begun, update
 
 OFTEN = 5  # generations after which the mean of a holder that stays is known better
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
@@ -171,10 +172,26 @@ class MeanSearch:
         """Whether the mean of a tuning may race: its episodes may be far longer than samples'."""
         return state.left(self.fresh.pace.racing) > 0
 
-    def _promises(self, state: State, tuning: Tuning) -> bool:
-        """Whether already the samples of a tuning are clearly better than the holder."""
-        holder = state.holder
-        return holder is not None and tuning.level > holder.mean + CERTAIN * holder.error
+    def _promoted(self, state: State, tuning: Tuning) -> State | None:
+        """The state with the mean of a tuning as the holder, if the latest means were better.
+
+        Where steps are what costs, a race between two good skills costs more than it is worth. So
+        what the latest means of a tuning got on fresh scenarios counts for the present one.
+        """
+        holder, trail = state.holder, torch.tensor(tuning.trail, dtype=torch.float64)
+        if holder is None or holder.count < TRAIL or len(trail) < TRAIL:
+            return None
+        error = math.hypot(holder.error, float(trail.std()) / math.sqrt(TRAIL))
+        if not float(trail.mean()) > holder.mean + error:
+            return None
+        return state.held_by(Holder(self._mean_of(tuning)))
+
+    def _seen(self, tuning: Tuning, generator: Generator) -> Tuning:
+        """A tuning after its mean has been tried where a race is due, and steps are what costs."""
+        if not tuning.due or self.fresh.pace.together:
+            return tuning
+        count, mean = tuning.scenarios, self._mean_of(tuning)
+        return tuning.seen(float(self.fresh.of_skills([mean], count, generator).mean()))
 
     def _tuning(self, state: State) -> Tuning | None:
         """The first tuning of the holder; None if that is of no use."""
@@ -195,7 +212,8 @@ class MeanSearch:
         """The state after an update of the holder's tuning or of rivals, and races that are due."""
         episodes, executed = self.fresh.episodes, self.fresh.executed
         most = state.spent.episodes // (LARGEST * SAMPLES * len(turn))
-        found = update(turn, self.setup.actions, self.fresh, generator, most)
+        updates = update(turn, self.setup.actions, self.fresh, generator, most)
+        found = [(self._seen(tuning, generator), worth) for tuning, worth in updates]
         holds = state.tuning is turn[0]
         for old, (new, worth) in zip(turn, found, strict=True):
             state = replace(state.with_tuned(old, new), toll=state.toll or worth)
@@ -214,10 +232,13 @@ class MeanSearch:
         self, state: State, tuning: Tuning, generator: Generator
     ) -> tuple[State, Tuning, bool]:
         """The state after a race of the mean of a tuning, and whether that has won."""
-        setup = self.setup
-        mean = Skill(setup.name, tuning.mean(setup.actions), setup.actions, setup.max_transitions)
-        state, won = self._raced(state, mean, generator)
+        state, won = self._raced(state, self._mean_of(tuning), generator)
         return state, tuning.raced(won), won
+
+    def _mean_of(self, tuning: Tuning) -> Skill:
+        """The skill of a tuning's mean."""
+        setup = self.setup
+        return Skill(setup.name, tuning.mean(setup.actions), setup.actions, setup.max_transitions)
 
     def _holder_due(
         self, state: State, tuning: Tuning, episodes: int, generator: Generator
@@ -225,12 +246,13 @@ class MeanSearch:
         """The state after an update of the holder's tuning, and a race of its mean if it is due."""
         if tuning.distribution.updates == 1:
             state = replace(state, rivals=self._with_other_toll(state, tuning))
-        affords = self._affords(state)
-        if not tuning.due or not (affords or self._promises(state, tuning)):
+        if not tuning.due:
             return state
-        state, tuning, won = self._mean_raced(state, tuning, generator)
-        if not affords and not won:
+        if promoted := self._promoted(state, tuning):
+            return replace(promoted, tuning=tuning.raced(won=True))
+        if not self._affords(state):
             return state
+        state, tuning, _ = self._mean_raced(state, tuning, generator)
         if not tuning.stalled:
             return replace(state, tuning=tuning)
         state = replace(state, rivals=self._with_other_toll(state, tuning))

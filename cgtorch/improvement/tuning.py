@@ -34,6 +34,7 @@ WIDER, WIDEST = 1.4, 1e4  # by which steps grow where samples are alike, and the
 SEVERAL = 8  # scenarios on which a quarter of samples is not alike by luck
 RELATIVE = 0.5  # first steps in units of parameters that are larger than usual
 RECENT = 4  # updates by which tunings are compared
+TRAIL = 4  # of the latest means that tell together what a mean is worth
 FIRM, EXACT = 0.5, 0.99  # shares of the variance of values that lengths of episodes explain
 
 
@@ -56,6 +57,8 @@ class Tuning:
             the last one with whole episodes.
         mark: The level when races were last lost in a row.
         horizon: Steps after which episodes of updates are truncated, most of the time.
+        trail: What its mean was worth on fresh scenarios after each of the last `TRAIL` races that
+            were due.
     """
 
     graph: Graphs
@@ -68,6 +71,7 @@ class Tuning:
     recent: tuple[float, ...] = ()
     mark: float = -math.inf
     horizon: float = math.inf
+    trail: tuple[float, ...] = ()
 
     def mean(self, actions: ActionSet) -> Graphs:
         """The graph with the mean of the distribution as its parameters."""
@@ -78,13 +82,18 @@ class Tuning:
         """The tuning after a race of its mean."""
         return replace(self, lost=0 if won else self.lost + 1)
 
+    def seen(self, worth: float) -> "Tuning":
+        """The tuning after its mean was worth so much on fresh scenarios."""
+        return replace(self, trail=(*self.trail, worth)[-TRAIL:])
+
     def moved(self, graph: Graphs, actions: ActionSet) -> "Tuning":
         """The tuning with the parameters of a graph as its mean, if that has the same nodes."""
         names = "action", "edges", "start"
         if not all(torch.equal(getattr(self.graph, name), getattr(graph, name)) for name in names):
             return self
         mean = graph.parameters[0][tunable(graph, actions)].double()
-        return replace(self, lost=0, distribution=replace(self.distribution, mean=mean))
+        distribution = replace(self.distribution, mean=mean)
+        return replace(self, lost=0, trail=(), distribution=distribution)
 
     def counted(self, before: "Tuning") -> "Tuning":
         """The tuning after one update more than before."""
@@ -245,12 +254,12 @@ def _after(
         longer = math.inf if alike else horizon
         return replace(after, distribution=distribution, horizon=longer), 0.0
     step = min(WIDEST, distribution.step * (WIDER if alike else 1.0))
-    better = values.mean(1).sort(descending=True).values[: max(1, len(values) // 2)]
+    upper = values.mean(1).sort(descending=True).values[: max(1, len(values) // 2)]
     earlier = tuning.recent if tuning.horizon == math.inf else ()
     after = replace(
         after,
         distribution=replace(distribution, step=step),
-        recent=(*earlier, float(better.mean()))[-RECENT:],
+        recent=(*earlier, float(upper.mean()))[-RECENT:],
         horizon=played.horizon(tuning.horizon, tuning.toll),
     )
     return after, worth_of_transitions(values, played.lengths)

@@ -109,6 +109,7 @@ def test_what_is_kept_is_what_is_read(given: bool) -> None:
     one, two = tuning(lost=2), tuning(0.25)
     one = replace(one, scenarios=7, alone=True, reliability=0.75, recent=(1.5, 2.5), mark=-3.0)
     two = replace(two, distribution=replace(two.distribution, updates=3, step=0.3), horizon=48.0)
+    two = replace(two, trail=(1.0, -2.5))
     holder = Holder(staking(0.3, 0.1), 3.5, 7.25, 4)
     spent, need = Spent(1, 2, 3, 4, 5, 6, 7), Need(12, 0.625)
     state = State(holder, one, (two, one), True, 0.1, need, spent)
@@ -120,7 +121,7 @@ def test_what_is_kept_is_what_is_read(given: bool) -> None:
         assert torch.equal(kept.distribution.covariance, was.distribution.covariance)
         assert torch.equal(kept.distribution.mean, was.distribution.mean)
         about = ["scenarios", "toll", "alone", "lost", "reliability", "recent", "mark", "kind"]
-        about.append("horizon")
+        about += ["horizon", "trail"]
         assert [getattr(kept, name) for name in about] == [getattr(was, name) for name in about]
         assert kept.distribution.updates == was.distribution.updates
         assert kept.distribution.step == was.distribution.step
@@ -137,7 +138,7 @@ def test_a_tuning_of_an_earlier_version_has_whole_episodes() -> None:
     del tensors["tuning.horizon"]
     found = state_from_tensors(tensors, ACTIONS, LIKE, None).tuning
     assert found is not None
-    assert found.horizon == torch.inf
+    assert (found.horizon, found.trail) == (torch.inf, ())
 
 
 def test_a_holder_that_was_given_must_be_given_again() -> None:

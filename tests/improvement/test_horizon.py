@@ -46,30 +46,32 @@ def test_the_gain_of_selection_is_that_of_the_weighted_better_half() -> None:
 def test_the_horizon_is_the_shortest_from_which_on_selection_is_good() -> None:
     values = torch.randn(COUNT, generator=seeded(0)).double()
     luck = torch.randn(COUNT, generator=seeded(1)).double()
-    assert known([], values, whole()).horizon(0.0, 0.0) == HORIZONS[0]
-    assert known([luck, luck], values, whole()).horizon(0.0, 0.0) == HORIZONS[2]
-    assert known([luck, values, luck], values, whole()).horizon(0.0, 0.0) == HORIZONS[3]
-    assert known([values + 0.1 * luck], values, whole()).horizon(0.0, 0.0) == HORIZONS[0]
-    assert known([luck] * len(HORIZONS), values, whole()).horizon(0.0, 0.0) == inf
-    assert (
-        known([], torch.zeros(COUNT).double(), whole()).horizon(0.0, 0.0) == inf
-    )  # nothing is known
+    nothing = torch.zeros(COUNT).double()
+    for early, worth, wanted in (
+        ([], values, HORIZONS[0]),
+        ([luck, luck], values, HORIZONS[2]),
+        ([luck, values, luck], values, HORIZONS[3]),
+        ([values + 0.1 * luck], values, HORIZONS[0]),
+        ([luck] * len(HORIZONS), values, inf),
+        ([], nothing, inf),  # as nothing is known
+    ):
+        assert known(early, worth, whole(128)).horizon(0.0, 0.0) == wanted
 
 
 def test_it_is_longer_than_most_episodes_that_end_early() -> None:
     values, steps = torch.randn(COUNT, generator=seeded(0)).double(), whole()
     steps[:10], steps[10:12] = 100.0, 160.0
     assert known([], values, steps).horizon(0.0, 0.0) == pytest.approx(2 * 110)
-    assert known([], values, whole(50.0)).horizon(0.0, 0.0) == HORIZONS[0]  # as all are as long
+    assert known([], values, whole(128)).horizon(0.0, 0.0) == HORIZONS[0]  # as all are as long
 
 
-def test_it_is_at_least_half_as_long_as_what_was_played_before() -> None:
+def test_it_is_at_least_half_as_long_as_before_and_an_eighth_of_the_longest_episode() -> None:
     values = torch.randn(COUNT, generator=seeded(0)).double()
-    found = known([], values, whole())
-    for before, wanted in ((inf, 500), (700.0, 350), (40.0, 20), (20.0, 16)):
-        assert found.horizon(before, 0.0) == wanted
     luck = torch.randn(COUNT, generator=seeded(1)).double()
-    assert known([luck] * 4, values, whole()).horizon(40.0, 0.0) == HORIZONS[4]  # it may be longer
+    found = known([], values, whole())
+    for before, wanted in ((inf, 500), (700.0, 350), (250.0, 125), (40.0, 125)):
+        assert found.horizon(before, 0.0) == wanted
+    assert known([luck] * 5, values, whole()).horizon(40.0, 0.0) == HORIZONS[5]  # it may be longer
 
 
 def test_a_toll_is_taken_from_early_returns_for_the_share_of_the_transitions() -> None:

@@ -24,7 +24,7 @@ from cgtorch.improvement.paired_race import Fresh, Holder
 from cgtorch.improvement.setup import Budget, Setup
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES, Tuning, begun
+from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES, TRAIL, Tuning, begun
 
 SMALL = replace(REWARDS, population=24, initial_nodes=(1, 2), capacity=6, lineages=3)
 
@@ -80,7 +80,8 @@ def test_a_generation_is_counted_and_its_champion_is_the_first_holder() -> None:
     for state in later:
         assert not before.enough
         spent, updates = state.spent, state.spent.episodes - before.spent.episodes
-        assert updates % SAMPLES == 0 < updates
+        assert updates >= SAMPLES
+        assert updates % SAMPLES in {0, 1}  # with the mean now and then
         was_behind = before.behind(BY_STEP.ahead)
         assert (spent.tuned > before.spent.tuned) is was_behind
         assert (spent.rivals > before.spent.rivals) is not was_behind
@@ -241,20 +242,44 @@ def test_a_mean_does_not_race_before_races_have_their_share_again(held: bool) ->
     assert (after.distribution.updates, after.lost) == (EVERY, 0)
 
 
-def test_a_mean_whose_samples_are_clearly_better_than_the_holder_races_anyway() -> None:
+def test_a_mean_holds_without_a_race_if_the_latest_means_were_better() -> None:
     known, unknown = torch.full((50,), 0.2), torch.tensor([-50.0, 50.0] * 3)
-    raced = []
-    for values, level in ((known, -50.0), (unknown, 30.0), (known, 30.0)):
+    rival = tuned(staking(0.0), updates=1)
+    for values, worth, seen, holds in (
+        (known, 30.0, 3, True),
+        (known, 30.0, 2, False),  # as the mean of this update is the third one
+        (known, -30.0, 3, False),
+        (unknown, 30.0, 3, False),  # as the holder may be as good
+        (torch.full((TRAIL - 1,), 0.2), 30.0, 3, False),
+    ):
         holder = Holder(staking(-1.0)).met(values)
-        one = tuned(staking(1.0), updates=EVERY - 1, lost=2, recent=(level,) * 3)
+        one = tuned(staking(1.0), updates=EVERY - 1, lost=2, trail=(worth,) * seen)
         spent = replace(PLAYED, raced=10**6)
-        state = after_one(State(holder, one, (tuned(staking(0.0), updates=1),), spent=spent))
+        state = after_one(State(holder, one, (rival,), spent=spent))
         assert state.tuning is not None
         assert state.holder is not None
-        # A race that is lost does not count, as it was too short for those that are won barely.
-        assert state.tuning.lost == (2 if state.holder.skill is holder.skill else 0)
-        raced.append(state.spent.raced)
-    assert raced[0] == raced[1] < raced[2]
+        assert (state.holder.skill is not holder.skill) is holds
+        assert state.tuning.lost == (0 if holds else 2)
+        assert len(state.tuning.trail) == seen + 1
+        if holds:
+            assert same(state.holder.skill.graph, state.tuning.mean(ACTIONS))
+
+
+def test_means_are_tried_where_races_are_due_and_steps_are_what_costs() -> None:
+    for updates, pace, tried in (
+        (EVERY - 1, BY_STEP, 1),
+        (EVERY - 2, BY_STEP, 0),
+        (EVERY - 1, BY_ROLLOUT, 0),
+    ):
+        one = tuned(staking(1.0), updates=updates)
+        state = after_one(State(HELD, one, (), spent=PLAYED), pace)
+        assert state.tuning is not None
+        assert len(state.tuning.trail) == tried
+        cost = 2 * (SAMPLES + tried)  # of two scenarios
+        assert state.spent.tuned == cost
+    full = tuned(staking(1.0), trail=(1.0, 2.0, 3.0, 4.0))
+    assert full.seen(5.0).trail == (2.0, 3.0, 4.0, 5.0)
+    assert full.moved(staking(0.5).graph, ACTIONS).trail == ()  # which are of other means
 
 
 def test_a_rival_whose_mean_wins_is_tuned_as_the_best() -> None:
