@@ -10,7 +10,8 @@ once is a fact that later skills have to keep. So there is no W, and
 3. most actions tune parameters with ever more scenarios (`cgtorch.improvement.tuning`): the
    holder's, and those of its rivals (`cgtorch.improvement.rivals`), which are the best individuals
    of a generation. What is tuned is evaluated again among the individuals of each generation, and
-   has children there.
+   has children there. Where steps are what costs, most updates play truncated episodes
+   (`cgtorch.improvement.horizon`), and the latest means may decide in place of a race.
 """
 
 import time
