@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import torch
-from lottery import ACTIONS, PaidLottery, idle, staking, tickets
+from lottery import ACTIONS, PaidLottery, Stake, idle, staking, tickets
 from support import same, seeded
 from torch import Generator
 
@@ -90,6 +90,27 @@ def test_a_generation_is_counted_and_its_champion_is_the_first_holder() -> None:
     last = before.spent
     assert last.tuned + last.rivals < SHARE * last.searched + 4 * 4 * SAMPLES * 100
     assert search.fresh.episodes >= last.episodes - generation.scores.numel() + last.raced
+
+
+class WideStake(Stake):
+    """A stake with parameters that it does not need."""
+
+    num_parameters = 5
+
+
+def test_the_simplest_of_all_candidates_is_tuned_first_though_others_are_better() -> None:
+    actions, best = ActionSet(("Wide", *ACTIONS.names), (WideStake(), *ACTIONS.actions)), set()
+    for seed in range(6):
+        search = search_of(lineages=1, actions=actions)
+        about = search.fresh.world(FEWEST, seeded(seed)), actions, search.structures, seeded(seed)
+        generation = next(evolve(*about, max_transitions=4))
+        first = search.after(search.first_state(None), generation, seeded(1))
+        tuning = next(first).tuning
+        assert tuning is not None
+        assert actions.names[tuning.kind[0]] == "Stake"
+        champion = generation.champion.graphs
+        best.add(actions.names[int(champion.action[0, champion.start[0]])])
+    assert best == {"Wide", "Stake"}
 
 
 def test_nothing_is_tuned_where_the_holder_may_have_reached_the_target() -> None:

@@ -158,7 +158,7 @@ WALKING = walking_actions()
 
 
 def walked(
-    updates: int, horizon: float, kind: type[RewardedPath] = RewardedPath, toll: float = 0.0
+    updates: int, horizon: float, kind: type[RewardedPath] = RewardedPath
 ) -> tuple[Tuning, float, int]:
     """A walk's tuning after an update, what a transition was worth, and the actions executed."""
 
@@ -167,7 +167,7 @@ def walked(
         return kind(replace(drawn, length=torch.full_like(drawn.length, 40)))
 
     place = Fresh(world, 99, BY_STEP)
-    found = begun(chain(WALKING, "Aim", "Step", speed=0.5), WALKING, 2, toll)
+    found = begun(chain(WALKING, "Aim", "Step", speed=0.5), WALKING, 2)
     assert found is not None
     distribution = replace(found.distribution, updates=updates)
     found = replace(found, distribution=distribution, horizon=horizon, recent=(-9.0, -8.0))
