@@ -272,6 +272,7 @@ def test_a_mean_holds_without_a_race_if_the_latest_means_were_better() -> None:
         (known, -30.0, 3, False),
         (unknown, 30.0, 3, False),  # as the holder may be as good
         (torch.full((TRAIL - 1,), 0.2), 30.0, 3, False),
+        (torch.full((TRAIL,), 0.2), 30.0, 3, True),
     ):
         holder = Holder(staking(-1.0)).met(values)
         one = tuned(staking(1.0), updates=EVERY - 1, lost=2, trail=(worth,) * seen)

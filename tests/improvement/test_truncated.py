@@ -1,5 +1,6 @@
 """A world whose episodes are truncated plays as the world itself does up to the horizon."""
 
+from inspect import getattr_static
 from math import inf
 
 import pytest
@@ -79,6 +80,8 @@ def test_it_is_as_special_as_the_world() -> None:
     assert isinstance(bounded, Bounded)
     assert bounded.most_lanes == few.most_lanes
     assert not isinstance(free, Bounded)
+    own = [getattr_static(each, "most_lanes", None) for each in (bounded, free)]
+    assert [each is None for each in own] == [False, True]  # as Python 3.12 asks
     for world in (bounded, free):
         assert isinstance(world, Rewarded)
         assert isinstance(world, Episodic)
