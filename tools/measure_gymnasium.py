@@ -38,6 +38,7 @@ from cgtorch.domains.gymnasium_world import VectorSteps
 from cgtorch.ground.asked import BudgetSpentError, Purse
 from cgtorch.ground.files import read_json, write_json
 from cgtorch.runs.log import read_log
+from cgtorch.training import auto
 
 TASKS: dict[str, list[str]] = {
     "CartPole-v1": [],
@@ -154,6 +155,7 @@ def counted(training: Callable[[], Any], most: int | None = None) -> dict[str, f
     """
     counts = Counts(inf if most is None else most)
     plain_play, plain_step, plain_late = Episode.play, VectorSteps.step, Purse.late
+    plain_act = auto.act
 
     def play(episode: Episode, *action: Any) -> Any:
         found = plain_play(episode, *action)
@@ -169,14 +171,23 @@ def counted(training: Callable[[], Any], most: int | None = None) -> dict[str, f
         limited = purse.until < inf  # as that of a training is
         return (limited and counts.over) or plain_late(purse, grace)
 
+    def act(*about: Any) -> Any:
+        counts.testing = True
+        try:
+            return plain_act(*about)
+        finally:
+            counts.testing = False
+
     Episode.play, VectorSteps.step = play, step  # type: ignore[method-assign]
     Purse.late = late  # type: ignore[method-assign]
+    auto.act = act
     began = time.monotonic()
     try:
         training()
     finally:
         Episode.play, VectorSteps.step = plain_play, plain_step  # type: ignore[method-assign]
         Purse.late = plain_late  # type: ignore[method-assign]
+        auto.act = plain_act
     used = resource.getrusage(resource.RUSAGE_SELF)
     return {
         "episodes": counts.episodes,
@@ -194,15 +205,21 @@ class Counts:
     steps: int = 0
     episodes: int = 0
     over: bool = False
+    testing: bool = False
 
     def add(self, steps: int, episodes: int) -> None:
-        """Count some more; BudgetSpentError with the last one, and nothing is counted after it."""
+        """Count some more; nothing is counted after the last one, with which a search ends.
+
+        BudgetSpentError with that one, unless a test is going on.
+        """
         if self.over:
             return
         self.steps += steps
         self.episodes += episodes
         if self.steps >= self.most:
             self.over = True
+            if self.testing:
+                return
             raise BudgetSpentError(f"all {self.most} steps have been made")
 
 

@@ -6,8 +6,9 @@ from typing import Any
 import measure_gymnasium as tool
 import pytest
 from click.testing import CliRunner
-from measure_gymnasium import LEARNED, TASKS, summary, table
+from measure_gymnasium import LEARNED, TASKS, Counts, summary, table
 
+from cgtorch.ground.asked import BudgetSpentError
 from cgtorch.ground.files import write_json
 
 
@@ -25,6 +26,19 @@ def test_the_summary_has_medians_and_the_number_of_solved_seeds() -> None:
         "| Pendulum-v1 | 2 of 3 | -151.0 | 500 | 3 | 700 | 1.0 |"
     )
     assert "| Pendulum-v1 | 1 | -151.0 | no | 1 | 900 | 3 | 700 | 1.0 | 2.0 |" in table(rows)
+
+
+def test_a_search_ends_with_its_last_step_and_a_test_goes_on() -> None:
+    searching, testing = Counts(most=3), Counts(most=3, testing=True)
+    for counts in (searching, testing):
+        counts.add(2, 1)
+        assert not counts.over
+    with pytest.raises(BudgetSpentError, match="all 3 steps"):
+        searching.add(1, 0)
+    testing.add(1, 0)
+    for counts in (searching, testing):
+        counts.add(5, 5)  # which are not counted
+        assert (counts.over, counts.steps, counts.episodes) == (True, 3, 1)
 
 
 @pytest.mark.parametrize("models", ["none", "learned"])
