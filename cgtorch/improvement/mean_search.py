@@ -19,12 +19,12 @@ from cgtorch.evolution.selection import ranking
 from cgtorch.graphs import Graphs, Skill, compacted, merged
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.expected_state import State
-from cgtorch.improvement.paired_race import Fresh, Holder, paired_race
+from cgtorch.improvement.paired_race import Fresh, Holder, paired_race, what_counts
 from cgtorch.improvement.rivals import best, candidates, compared, halved, next_rival, simplest
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import SAMPLES, TRAIL, Tuning, begun, update
+from cgtorch.improvement.tuning import EVERY, SAMPLES, TRAIL, Tuning, begun, update
 
 OFTEN = 5  # generations after which the mean of a holder that stays is known better
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
@@ -91,11 +91,15 @@ class MeanSearch:
             )
 
     def _promising(self, state: State) -> bool:
-        """Whether the mean of the holder, as far as it is known, has reached the target."""
+        """Whether the mean of the holder, as far as it is known, has reached the target.
+
+        Once it is known well, it has to be above the target by its error.
+        """
         holder = state.holder
         if holder is None or holder.count < self.fresh.pace.known:
             return False
-        return holder.mean >= self.setup.budget.satisfied
+        error = CERTAIN * holder.error if holder.count >= TRIED else 0.0
+        return holder.mean - error >= self.setup.budget.satisfied
 
     def _champion_raced(self, state: State, generation: Generation, generator: Generator) -> State:
         """The state after a race of the champion, from which tuning goes on if it has its nodes.
@@ -104,7 +108,8 @@ class MeanSearch:
         holder's mean.
         """
         returns, holder = self.setup.evolution.fitness is episode_return, state.holder
-        if returns and holder is not None and generation.best < holder.mean:
+        hopeless = returns and holder is not None and generation.best < holder.mean
+        if hopeless or (holder is not None and not self._affords(state)):
             return state
         champion, tuning = self.skill_of(generation.champion.graphs), state.tuning
         state, won = self._raced(state, champion, generator)
@@ -150,9 +155,14 @@ class MeanSearch:
         holder = state.holder
         if holder is None or (number % OFTEN and holder.count):
             return state
-        count = max(self.fresh.pace.known, state.need.scenarios)
-        before = self.fresh.executed
-        values = self.fresh.of_skills([holder.skill], count, generator)[0]
+        first, before = self.fresh.pace.known, self.fresh.executed
+        values = self.fresh.of_skills([holder.skill], first, generator)[0]
+        # Its episodes may be far longer than those of a generation.
+        left = state.left(self.fresh.pace.racing) * first / max(1, self.fresh.executed - before)
+        more = min(state.need.scenarios, int(max(0.0, left))) - first
+        if more > 0:
+            others = self.fresh.of_skills([holder.skill], more, generator)[0]
+            values = torch.cat([values, others])
         raced = state.spent.raced + self.fresh.executed - before
         return replace(state, holder=holder.met(values), spent=replace(state.spent, raced=raced))
 
@@ -169,22 +179,25 @@ class MeanSearch:
         return state.held_by(winner), winner.skill is challenger
 
     def _affords(self, state: State) -> bool:
-        """Whether the mean of a tuning may race: its episodes may be far longer than samples'."""
+        """Whether there may be a race, whose episodes may be far longer than those of samples."""
         return state.left(self.fresh.pace.racing) > 0
 
     def _promoted(self, state: State, tuning: Tuning) -> State | None:
         """The state with the mean of a tuning as the holder, if the latest means were better.
 
         Where steps are what costs, a race between two good skills costs more than it is worth. So
-        what the latest means of a tuning got on fresh scenarios counts for the present one.
+        what the latest means of a tuning got on fresh scenarios counts for the present one. The
+        last one alone decides if it is better than what the holder gets on almost any scenario.
         """
         holder, trail = state.holder, torch.tensor(tuning.trail, dtype=torch.float64)
-        if holder is None or holder.count < TRAIL or len(trail) < TRAIL:
+        if holder is None or holder.count < TRAIL or not len(trail):
             return None
-        error = math.hypot(holder.error, float(trail.std()) / math.sqrt(TRAIL))
-        if not float(trail.mean()) > holder.mean + error:
-            return None
-        return state.held_by(Holder(self._mean_of(tuning)))
+        error = CERTAIN * math.hypot(holder.error, holder.deviation)
+        better = float(trail[-1]) > holder.mean + error
+        if len(trail) == TRAIL:
+            error = math.hypot(holder.error, float(trail.std()) / math.sqrt(TRAIL))
+            better |= float(trail.mean()) > holder.mean + error
+        return state.held_by(Holder(self._mean_of(tuning))) if better else None
 
     def _seen(self, tuning: Tuning, generator: Generator) -> Tuning:
         """A tuning after its mean has been tried where a race is due, and steps are what costs."""
@@ -192,6 +205,16 @@ class MeanSearch:
             return tuning
         count, mean = tuning.scenarios, self._mean_of(tuning)
         return tuning.seen(float(self.fresh.of_skills([mean], count, generator).mean()))
+
+    def _worth_of_transitions(self, tuning: Tuning, generator: Generator) -> float:
+        """What a transition is worth to a graph before it is tuned; 0 if it is worth nothing.
+
+        Its parameters are zero as a rule, so that this is the bonus of a robot that does nothing.
+        """
+        world = self.fresh.world(FEWEST, generator)
+        runs = self.fresh.runs(tuning.graph, self.setup.actions, world)
+        worth = float(what_counts(runs).sum() / runs.transitions.sum())
+        return worth if 0 < worth < math.inf else 0.0
 
     def _tuning(self, state: State) -> Tuning | None:
         """The first tuning of the holder; None if that is of no use."""
@@ -213,10 +236,11 @@ class MeanSearch:
         episodes, executed = self.fresh.episodes, self.fresh.executed
         most = state.spent.episodes // (LARGEST * SAMPLES * len(turn))
         updates = update(turn, self.setup.actions, self.fresh, generator, most)
-        found = [(self._seen(tuning, generator), worth) for tuning, worth in updates]
+        found = [(self._seen(tuning, generator), long) for tuning, long in updates]
         holds = state.tuning is turn[0]
-        for old, (new, worth) in zip(turn, found, strict=True):
-            state = replace(state.with_tuned(old, new), toll=state.toll or worth)
+        for old, (new, long) in zip(turn, found, strict=True):
+            toll = state.toll or (self._worth_of_transitions(new, generator) if long else 0.0)
+            state = replace(state.with_tuned(old, new), toll=toll)
         episodes, executed = self.fresh.episodes - episodes, self.fresh.executed - executed
         state = replace(state, spent=state.spent.after_updates(holds, episodes, executed))
         if not holds:
@@ -244,7 +268,7 @@ class MeanSearch:
         self, state: State, tuning: Tuning, episodes: int, generator: Generator
     ) -> State:
         """The state after an update of the holder's tuning, and a race of its mean if it is due."""
-        if tuning.distribution.updates == 1:
+        if tuning.distribution.updates <= EVERY:
             state = replace(state, rivals=self._with_other_toll(state, tuning))
         if not tuning.due:
             return state
@@ -304,8 +328,7 @@ class MeanSearch:
         while (holder := state.holder) is not None and self._promising(state):
             missing = min(holder.count, TRIED - holder.count)
             if missing <= 0:
-                low = holder.mean - CERTAIN * holder.error
-                return state, low >= self.setup.budget.satisfied
+                return state, True
             values = self.fresh.of_skills([holder.skill], missing, generator)[0]
             state = replace(state, holder=holder.met(values))
         return state, False

@@ -23,7 +23,7 @@ from cgtorch.improvement.spread import MANY, Need
 MOST = 2048  # scenarios of an update
 MOST_FULL = 64  # parameters of which covariances are learned, as there are few updates
 SAMPLES = 20  # of an update at least, as luck is in what they are worth
-PARTS = 3  # smaller updates in place of one of many parameters, as each moves the mean
+PARTS = 2  # smaller updates in place of one of many parameters, as each moves the mean
 FEW = 8  # random parameters from which none is better
 EVERY = 5  # updates between two races of the mean
 CONVERGED = 0.02  # step size below which samples that can be told apart need no more scenarios
@@ -189,7 +189,7 @@ def update(
     fresh: Fresh,
     generator: Generator,
     most: int = MOST,
-) -> list[tuple[Tuning, float]]:
+) -> list[tuple[Tuning, bool]]:
     """The tunings after one update each, by samples that all meet the same fresh scenarios.
 
     Of many parameters, variances only are learned, and each sample tells of few of them. There as
@@ -198,18 +198,18 @@ def update(
 
     If luck hides what differs between samples, the next update has more scenarios, up to `most`.
     Where steps are what costs, most updates have truncated episodes (`improvement.horizon`).
-    With each tuning is returned what a transition was worth (`worth_of_transitions`).
+    With each tuning is returned whether its samples were worth mainly how long they lasted.
     """
     divides = not fresh.pace.together and all(each.apart for each in tunings)
-    parts, worths = PARTS if divides else 1, [0.0] * len(tunings)
+    parts, long = PARTS if divides else 1, [False] * len(tunings)
     horizon = max(math.inf if each.whole else each.horizon for each in tunings)
     after = tunings
     for _ in range(parts):
         found = _updated(after, actions, fresh, generator, horizon, most, parts)
-        worths = [old or new for old, (_, new) in zip(worths, found, strict=True)]
+        long = [old or new for old, (_, new) in zip(long, found, strict=True)]
         after = [tuning for tuning, _ in found]
     counted = [new.counted(old) for old, new in zip(tunings, after, strict=True)]
-    return list(zip(counted, worths, strict=True))
+    return list(zip(counted, long, strict=True))
 
 
 def _updated(
@@ -220,7 +220,7 @@ def _updated(
     horizon: float,
     most: int,
     parts: int,
-) -> list[tuple[Tuning, float]]:
+) -> list[tuple[Tuning, bool]]:
     """The tunings after an update by one of so many parts of the samples, up to a horizon."""
     drawn = [_samples(each, parts, generator) for each in tunings]
     graphs = [
@@ -243,7 +243,7 @@ def _samples(tuning: Tuning, parts: int, generator: Generator) -> Tensor:
 
 def _after(
     tuning: Tuning, drawn: Tensor, played: Played, horizon: float, most: int
-) -> tuple[Tuning, float]:
+) -> tuple[Tuning, bool]:
     """A tuning after samples (λ, n) have played up to a horizon."""
     values, alike = played.values, flat(played.values)
     distribution = updated(tuning.distribution, drawn, played.worth(tuning.toll))
@@ -252,7 +252,7 @@ def _after(
     after = replace(tuning, scenarios=scenarios, reliability=need.reliability)
     if horizon < math.inf:
         longer = math.inf if alike else horizon
-        return replace(after, distribution=distribution, horizon=longer), 0.0
+        return replace(after, distribution=distribution, horizon=longer), False
     step = min(WIDEST, distribution.step * (WIDER if alike else 1.0))
     upper = values.mean(1).sort(descending=True).values[: max(1, len(values) // 2)]
     earlier = tuning.recent if tuning.horizon == math.inf else ()
@@ -262,7 +262,7 @@ def _after(
         recent=(*earlier, float(upper.mean()))[-RECENT:],
         horizon=played.horizon(tuning.horizon, tuning.toll),
     )
-    return after, worth_of_transitions(values, played.lengths)
+    return after, long_is_good(values, played.lengths)
 
 
 def flat(values: Tensor) -> bool:
@@ -276,18 +276,15 @@ def flat(values: Tensor) -> bool:
     return alike >= (len(values) // 4 if values.shape[1] >= SEVERAL else len(values))
 
 
-def worth_of_transitions(values: Tensor, lengths: Tensor) -> float:
-    """By how much values (P, B) grow with a transition more, given the lengths (P, B) of episodes.
+def long_is_good(values: Tensor, lengths: Tensor) -> bool:
+    """Whether values (P, B) are mainly, but not wholly, the lengths (P, B) of episodes.
 
-    It is 0 where they do not grow, where lengths explain less than half of the values' variance, or
-    where they explain all of it.
+    These explain at least half of the variance of values, which grow with them, and leave some.
     """
     x, y = lengths.double().flatten(), values.double().flatten()
     x, y = x - x.mean(), y - y.mean()
     both, long, large = float(x @ y), float(x @ x), float(y @ y)
-    if both <= 0 or not FIRM <= both * both / (long * large) <= EXACT:
-        return 0.0
-    return both / long
+    return both > 0 and FIRM <= both * both / (long * large) <= EXACT
 
 
 def with_parameters(graph: Graphs, where: Tensor, parameters: Tensor) -> Graphs:

@@ -10,7 +10,8 @@ from support import same, seeded
 from torch import Generator
 
 from cgtorch.evolution import REWARDS, Generation, chance_of_success, evolve
-from cgtorch.graphs import ActionSet, BranchingNN, Skill
+from cgtorch.graphs import ActionSet, BranchingNN, Graphs, Skill
+from cgtorch.ground.environment import Environment
 from cgtorch.improvement.expected_state import SHARE, Spent, State
 from cgtorch.improvement.mean_search import (
     CERTAIN,
@@ -25,6 +26,7 @@ from cgtorch.improvement.setup import Budget, Setup
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
 from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES, TRAIL, Tuning, begun
+from cgtorch.simulation import Rollouts
 
 SMALL = replace(REWARDS, population=24, initial_nodes=(1, 2), capacity=6, lineages=3)
 
@@ -133,17 +135,23 @@ def test_the_number_of_scenarios_grows_with_the_episodes_only() -> None:
         assert after.need == unsure.after(generation.scores, most)
 
 
+@pytest.mark.parametrize("searched", [0, 40, 10**6])
 @pytest.mark.parametrize(("number", "known"), [(OFTEN, True), (OFTEN + 1, True), (1, False)])
-def test_the_mean_of_a_holder_is_known_better_now_and_then(number: int, known: bool) -> None:
+def test_the_mean_of_a_holder_is_known_better_now_and_then(
+    number: int, known: bool, searched: int
+) -> None:
     search = search_of()
     generation = replace(generation_of(search), number=number)
     values = torch.full((40,), 5.0 * known)  # so good that no challenger wins
     holder = Holder(staking(1.0)).met(values) if known else Holder(staking(1.0))
-    state = State(holder=holder, need=Need(20), spent=Spent(episodes=10**4))
+    state = State(holder=holder, need=Need(20), spent=Spent(searched=searched, episodes=10**4))
     after = next(search.after(state, generation, seeded(1)))
     assert after.holder is not None
-    more = after.need.scenarios if number != OFTEN + 1 else 0
-    assert after.holder.count - holder.count == more
+    met = after.holder.count - holder.count
+    left = after.spent.searched // BY_STEP.racing - (after.spent.raced - met)  # after a race
+    afforded = max(BY_STEP.known, min(after.need.scenarios, left))
+    assert met == (afforded if number != OFTEN + 1 else 0)
+    assert (afforded < after.need.scenarios) is (searched < 10**6)
 
 
 def test_a_champion_with_a_smaller_return_than_the_mean_of_the_holder_has_no_race() -> None:
@@ -155,6 +163,8 @@ def test_a_champion_with_a_smaller_return_than_the_mean_of_the_holder_has_no_rac
         later = replace(generation, best=best, number=1)
         after = next(search.after(state, later, seeded(1)))
         assert (after.spent.raced > 0) is races
+        poor = replace(state, spent=replace(state.spent, raced=10**5))
+        assert next(search.after(poor, later, seeded(1))).spent.raced == 10**5
     # Chances of success may be smaller than shares of success.
     search = search_of(fitness=chance_of_success)
     after = next(search.after(state, replace(generation, best=-1.0, number=1), seeded(1)))
@@ -212,6 +222,10 @@ def test_the_target_is_reached_by_a_mean_that_is_known_well() -> None:
         other = search_of(satisfied)
         assert other.certain(State(holder=known), seeded(0)) == (State(holder=known), wanted)
         assert other.fresh.episodes == 0
+        # Tuning goes on as long as that is not sure.
+        generation = replace(generation_of(other), number=1)
+        about = State(holder=known, spent=Spent(episodes=10**4)), generation, seeded(1)
+        assert (len(list(other.after(*about))) == 1) is wanted
 
 
 def after_one(state: State, pace: Pace = BY_STEP, actions: ActionSet = ACTIONS) -> State:
@@ -252,7 +266,7 @@ def test_a_mean_that_loses_race_after_race_has_more_scenarios_or_makes_room() ->
 @pytest.mark.parametrize("held", [True, False])
 def test_a_mean_does_not_race_before_races_have_their_share_again(held: bool) -> None:
     one = tuned(staking(1.0), updates=EVERY - 1)
-    holder = Holder(staking(-1.0)).met(torch.full((50,), 0.2))
+    holder = Holder(staking(-1.0)).met(torch.tensor([-9.4, 9.8] * 25))
     raced = replace(PLAYED, raced=10**5)
     parts = (one, (tuned(staking(0.0), updates=1),)) if held else (None, (one,))
     state = after_one(State(holder, *parts, settled=not held, spent=raced))
@@ -264,13 +278,15 @@ def test_a_mean_does_not_race_before_races_have_their_share_again(held: bool) ->
 
 
 def test_a_mean_holds_without_a_race_if_the_latest_means_were_better() -> None:
-    known, unknown = torch.full((50,), 0.2), torch.tensor([-50.0, 50.0] * 3)
+    known, unknown = torch.tensor([-9.4, 9.8] * 25), torch.tensor([-50.0, 50.0] * 3)
     rival = tuned(staking(0.0), updates=1)
     for values, worth, seen, holds in (
         (known, 30.0, 3, True),
         (known, 30.0, 2, False),  # as the mean of this update is the third one
         (known, -30.0, 3, False),
         (unknown, 30.0, 3, False),  # as the holder may be as good
+        (torch.full((50,), 0.2), -30.0, 1, True),  # as the last mean is better than it ever is
+        (torch.full((50,), 2.2), -30.0, 1, False),
         (torch.full((TRAIL - 1,), 0.2), 30.0, 3, False),
         (torch.full((TRAIL,), 0.2), 30.0, 3, True),
     ):
@@ -333,6 +349,32 @@ def test_a_rival_that_keeps_losing_ends_unless_it_improves(mark: float, left: in
     assert [each.lost for each in state.rivals] == [1]
 
 
+class Lasting(Fresh):
+    """Episodes of many lengths, which earn the more for a transition the larger a parameter is."""
+
+    sign = 1.0
+
+    def runs(self, graphs: Graphs, actions: ActionSet, world: Environment) -> Rollouts:
+        found = super().runs(graphs, actions, world)
+        lengths = found.transitions + torch.arange(found.transitions.numel()).view_as(
+            found.state[..., 0]
+        )
+        earned = 1 + graphs.parameters[:, 0, :1] / 10
+        return replace(found, transitions=lengths, returns=self.sign * lengths * earned)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_toll_is_what_a_transition_was_worth_before_tuning(sign: float) -> None:
+    fresh = Lasting(search_of().fresh.world, 4)
+    fresh.sign = sign
+    one = tuned(staking(0.5))
+    moved = replace(one, distribution=replace(one.distribution, mean=one.distribution.mean + 1))
+    state = State(HELD, moved, (tuned(staking(0.1)),), spent=PLAYED)
+    after = MeanSearch(search_of().setup, fresh)._tuned(state, (moved,), seeded(5))
+    assert after.toll == pytest.approx(1.05 if sign > 0 else 0)
+    assert [each.toll for each in after.rivals] == [0.0, *[after.toll] * (sign > 0)]
+
+
 @pytest.mark.parametrize("toll", [0.0, 0.5])
 def test_the_same_graph_is_tuned_with_another_toll_if_one_is_known(toll: float) -> None:
     one = tuned(staking(0.5), toll)
@@ -343,7 +385,7 @@ def test_the_same_graph_is_tuned_with_another_toll_if_one_is_known(toll: float) 
     assert [each.alone for each in first.rivals] == [False, True]
     unknown = after_one(State(HELD, one, (rival,), toll=toll, spent=PLAYED))
     assert len(unknown.rivals) == 1 + (toll > 0)
-    later = replace(one, distribution=replace(one.distribution, updates=1))
+    later = replace(one, distribution=replace(one.distribution, updates=EVERY))
     assert len(after_one(State(HELD, later, (rival,), toll=0.5, spent=PLAYED)).rivals) == 1
     already = tuned(staking(0.1), 0.75)
     more = after_one(State(HELD, one, (already,), toll=0.5, spent=PLAYED))

@@ -31,9 +31,9 @@ from cgtorch.improvement.tuning import (
     begun,
     calmed,
     flat,
+    long_is_good,
     update,
     with_parameters,
-    worth_of_transitions,
 )
 from cgtorch.simulation import Rollouts
 
@@ -329,14 +329,14 @@ def test_a_toll_changes_what_is_best_and_not_what_is_told() -> None:
     assert after.distribution.mean[0] < free.distribution.mean[0] - 0.1
 
 
-def test_transitions_are_worth_something_where_values_are_mainly_lengths() -> None:
+def test_long_is_good_where_values_are_mainly_lengths() -> None:
     lengths = torch.tensor([[10, 20], [30, 60], [15, 5]])
     luck = torch.tensor([[1.0, -1.0], [3.0, 2.0], [-3.0, -2.0]])
-    assert worth_of_transitions(2.0 * lengths + 5 * luck, lengths) == pytest.approx(2.2, abs=0.2)
-    assert worth_of_transitions(2.0 * lengths, lengths) == 0  # nothing else would be left
-    assert worth_of_transitions(-2.0 * lengths + luck, lengths) == 0
-    assert worth_of_transitions(luck, torch.full((3, 2), 7)) == 0
-    assert worth_of_transitions(100 * luck + lengths, lengths) == 0
+    assert long_is_good(2.0 * lengths + 5 * luck, lengths)
+    assert not long_is_good(2.0 * lengths, lengths)  # nothing else would be left
+    assert not long_is_good(-2.0 * lengths + luck, lengths)
+    assert not long_is_good(luck, torch.full((3, 2), 7))
+    assert not long_is_good(100 * luck + lengths, lengths)
 
 
 def test_the_mean_moves_to_a_better_graph_of_the_same_nodes() -> None:
