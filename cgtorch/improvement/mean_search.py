@@ -108,8 +108,7 @@ class MeanSearch:
         holder's mean.
         """
         returns, holder = self.setup.evolution.fitness is episode_return, state.holder
-        hopeless = returns and holder is not None and generation.best < holder.mean
-        if hopeless or (holder is not None and not self._affords(state)):
+        if returns and holder is not None and generation.best < holder.mean:
             return state
         champion, tuning = self.skill_of(generation.champion.graphs), state.tuning
         state, won = self._raced(state, champion, generator)
@@ -155,14 +154,9 @@ class MeanSearch:
         holder = state.holder
         if holder is None or (number % OFTEN and holder.count):
             return state
-        first, before = self.fresh.pace.known, self.fresh.executed
-        values = self.fresh.of_skills([holder.skill], first, generator)[0]
-        # Its episodes may be far longer than those of a generation.
-        left = state.left(self.fresh.pace.racing) * first / max(1, self.fresh.executed - before)
-        more = min(state.need.scenarios, int(max(0.0, left))) - first
-        if more > 0:
-            others = self.fresh.of_skills([holder.skill], more, generator)[0]
-            values = torch.cat([values, others])
+        count = max(self.fresh.pace.known, state.need.scenarios)
+        before = self.fresh.executed
+        values = self.fresh.of_skills([holder.skill], count, generator)[0]
         raced = state.spent.raced + self.fresh.executed - before
         return replace(state, holder=holder.met(values), spent=replace(state.spent, raced=raced))
 
@@ -179,25 +173,22 @@ class MeanSearch:
         return state.held_by(winner), winner.skill is challenger
 
     def _affords(self, state: State) -> bool:
-        """Whether there may be a race, whose episodes may be far longer than those of samples."""
+        """Whether the mean of a tuning may race: its episodes may be far longer than samples'."""
         return state.left(self.fresh.pace.racing) > 0
 
     def _promoted(self, state: State, tuning: Tuning) -> State | None:
         """The state with the mean of a tuning as the holder, if the latest means were better.
 
         Where steps are what costs, a race between two good skills costs more than it is worth. So
-        what the latest means of a tuning got on fresh scenarios counts for the present one. The
-        last one alone decides if it is better than what the holder gets on almost any scenario.
+        what the latest means of a tuning got on fresh scenarios counts for the present one.
         """
         holder, trail = state.holder, torch.tensor(tuning.trail, dtype=torch.float64)
-        if holder is None or holder.count < TRAIL or not len(trail):
+        if holder is None or holder.count < TRAIL or len(trail) < TRAIL:
             return None
-        error = CERTAIN * math.hypot(holder.error, holder.deviation)
-        better = float(trail[-1]) > holder.mean + error
-        if len(trail) == TRAIL:
-            error = math.hypot(holder.error, float(trail.std()) / math.sqrt(TRAIL))
-            better |= float(trail.mean()) > holder.mean + error
-        return state.held_by(Holder(self._mean_of(tuning))) if better else None
+        error = math.hypot(holder.error, float(trail.std()) / math.sqrt(TRAIL))
+        if not float(trail.mean()) > holder.mean + error:
+            return None
+        return state.held_by(Holder(self._mean_of(tuning)))
 
     def _seen(self, tuning: Tuning, generator: Generator) -> Tuning:
         """A tuning after its mean has been tried where a race is due, and steps are what costs."""

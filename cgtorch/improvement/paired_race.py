@@ -54,11 +54,6 @@ class Holder:
         return self.total / self.count if self.count else -inf
 
     @property
-    def deviation(self) -> float:
-        """The standard deviation of the values, inf before the second one."""
-        return self.error * sqrt(self.count)
-
-    @property
     def error(self) -> float:
         """The standard error of the mean, inf before the second value."""
         if self.count < 2 or not abs(self.total) < inf:

@@ -135,23 +135,17 @@ def test_the_number_of_scenarios_grows_with_the_episodes_only() -> None:
         assert after.need == unsure.after(generation.scores, most)
 
 
-@pytest.mark.parametrize("searched", [0, 40, 10**6])
 @pytest.mark.parametrize(("number", "known"), [(OFTEN, True), (OFTEN + 1, True), (1, False)])
-def test_the_mean_of_a_holder_is_known_better_now_and_then(
-    number: int, known: bool, searched: int
-) -> None:
+def test_the_mean_of_a_holder_is_known_better_now_and_then(number: int, known: bool) -> None:
     search = search_of()
     generation = replace(generation_of(search), number=number)
     values = torch.full((40,), 5.0 * known)  # so good that no challenger wins
     holder = Holder(staking(1.0)).met(values) if known else Holder(staking(1.0))
-    state = State(holder=holder, need=Need(20), spent=Spent(searched=searched, episodes=10**4))
+    state = State(holder=holder, need=Need(20), spent=Spent(episodes=10**4))
     after = next(search.after(state, generation, seeded(1)))
     assert after.holder is not None
-    met = after.holder.count - holder.count
-    left = after.spent.searched // BY_STEP.racing - (after.spent.raced - met)  # after a race
-    afforded = max(BY_STEP.known, min(after.need.scenarios, left))
-    assert met == (afforded if number != OFTEN + 1 else 0)
-    assert (afforded < after.need.scenarios) is (searched < 10**6)
+    more = after.need.scenarios if number != OFTEN + 1 else 0
+    assert after.holder.count - holder.count == more
 
 
 def test_a_champion_with_a_smaller_return_than_the_mean_of_the_holder_has_no_race() -> None:
@@ -163,8 +157,6 @@ def test_a_champion_with_a_smaller_return_than_the_mean_of_the_holder_has_no_rac
         later = replace(generation, best=best, number=1)
         after = next(search.after(state, later, seeded(1)))
         assert (after.spent.raced > 0) is races
-        poor = replace(state, spent=replace(state.spent, raced=10**5))
-        assert next(search.after(poor, later, seeded(1))).spent.raced == 10**5
     # Chances of success may be smaller than shares of success.
     search = search_of(fitness=chance_of_success)
     after = next(search.after(state, replace(generation, best=-1.0, number=1), seeded(1)))
@@ -266,7 +258,7 @@ def test_a_mean_that_loses_race_after_race_has_more_scenarios_or_makes_room() ->
 @pytest.mark.parametrize("held", [True, False])
 def test_a_mean_does_not_race_before_races_have_their_share_again(held: bool) -> None:
     one = tuned(staking(1.0), updates=EVERY - 1)
-    holder = Holder(staking(-1.0)).met(torch.tensor([-9.4, 9.8] * 25))
+    holder = Holder(staking(-1.0)).met(torch.full((50,), 0.2))
     raced = replace(PLAYED, raced=10**5)
     parts = (one, (tuned(staking(0.0), updates=1),)) if held else (None, (one,))
     state = after_one(State(holder, *parts, settled=not held, spent=raced))
@@ -278,15 +270,13 @@ def test_a_mean_does_not_race_before_races_have_their_share_again(held: bool) ->
 
 
 def test_a_mean_holds_without_a_race_if_the_latest_means_were_better() -> None:
-    known, unknown = torch.tensor([-9.4, 9.8] * 25), torch.tensor([-50.0, 50.0] * 3)
+    known, unknown = torch.full((50,), 0.2), torch.tensor([-50.0, 50.0] * 3)
     rival = tuned(staking(0.0), updates=1)
     for values, worth, seen, holds in (
         (known, 30.0, 3, True),
         (known, 30.0, 2, False),  # as the mean of this update is the third one
         (known, -30.0, 3, False),
         (unknown, 30.0, 3, False),  # as the holder may be as good
-        (torch.full((50,), 0.2), -30.0, 1, True),  # as the last mean is better than it ever is
-        (torch.full((50,), 2.2), -30.0, 1, False),
         (torch.full((TRAIL - 1,), 0.2), 30.0, 3, False),
         (torch.full((TRAIL,), 0.2), 30.0, 3, True),
     ):

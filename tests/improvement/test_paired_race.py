@@ -45,7 +45,6 @@ def test_a_mean_and_its_error_are_those_of_all_values() -> None:
     assert holder.count == 5
     assert holder.mean == pytest.approx(float(values.mean()))
     assert holder.error == pytest.approx(float(values.std()) / 5**0.5)
-    assert holder.deviation == pytest.approx(float(values.std()))
     assert (Holder(BEST).mean, Holder(BEST).error) == (-math.inf, math.inf)
     assert Holder(BEST).met(values[:1]).error == math.inf
     assert holder.met(torch.tensor([-math.inf])).mean == -math.inf
