@@ -198,18 +198,16 @@ def update(
 
     If luck hides what differs between samples, the next update has more scenarios, up to `most`.
     Where steps are what costs, most updates have truncated episodes (`improvement.horizon`).
-    With each tuning is returned whether its samples were worth mainly how long they lasted.
+    With each tuning is returned whether the values of its samples were `mainly_lengths`.
     """
     divides = not fresh.pace.together and all(each.apart for each in tunings)
-    parts, long = PARTS if divides else 1, [False] * len(tunings)
+    parts = PARTS if divides else 1
     horizon = max(math.inf if each.whole else each.horizon for each in tunings)
-    after = tunings
+    found = [(each, False) for each in tunings]
     for _ in range(parts):
-        found = _updated(after, actions, fresh, generator, horizon, most, parts)
-        long = [old or new for old, (_, new) in zip(long, found, strict=True)]
         after = [tuning for tuning, _ in found]
-    counted = [new.counted(old) for old, new in zip(tunings, after, strict=True)]
-    return list(zip(counted, long, strict=True))
+        found = _updated(after, actions, fresh, generator, horizon, most, parts)
+    return [(new.counted(old), long) for old, (new, long) in zip(tunings, found, strict=True)]
 
 
 def _updated(
@@ -262,7 +260,7 @@ def _after(
         recent=(*earlier, float(upper.mean()))[-RECENT:],
         horizon=played.horizon(tuning.horizon, tuning.toll),
     )
-    return after, long_is_good(values, played.lengths)
+    return after, mainly_lengths(values, played.lengths)
 
 
 def flat(values: Tensor) -> bool:
@@ -276,7 +274,7 @@ def flat(values: Tensor) -> bool:
     return alike >= (len(values) // 4 if values.shape[1] >= SEVERAL else len(values))
 
 
-def long_is_good(values: Tensor, lengths: Tensor) -> bool:
+def mainly_lengths(values: Tensor, lengths: Tensor) -> bool:
     """Whether values (P, B) are mainly, but not wholly, the lengths (P, B) of episodes.
 
     These explain at least half of the variance of values, which grow with them, and leave some.

@@ -1,16 +1,16 @@
 """The steps of a search for the best mean: what is raced, tuned, played and counted in each."""
 
+import math
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
-from lottery import ACTIONS, PaidLottery, Stake, idle, staking, tickets
+from lottery import ACTIONS, Stake, idle, staking
+from lottery_search import generation_of, search_of, tuned
 from support import same, seeded
-from torch import Generator
 
-from cgtorch.evolution import REWARDS, Generation, chance_of_success, evolve
-from cgtorch.graphs import ActionSet, BranchingNN, Graphs, Skill
+from cgtorch.evolution import chance_of_success, evolve
+from cgtorch.graphs import ActionSet, BranchingNN, Graphs
 from cgtorch.ground.environment import Environment
 from cgtorch.improvement.expected_state import SHARE, Spent, State
 from cgtorch.improvement.mean_search import (
@@ -22,42 +22,10 @@ from cgtorch.improvement.mean_search import (
 )
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP, Pace
 from cgtorch.improvement.paired_race import Fresh, Holder
-from cgtorch.improvement.setup import Budget, Setup
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES, TRAIL, Tuning, begun
+from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES, TRAIL
 from cgtorch.simulation import Rollouts
-
-SMALL = replace(REWARDS, population=24, initial_nodes=(1, 2), capacity=6, lineages=3)
-
-
-def search_of(
-    satisfied: float = 9.0, pace: Pace = BY_STEP, actions: ActionSet = ACTIONS, **evolution: Any
-) -> MeanSearch:
-    """A search in the lottery whose best skill is worth 1.8."""
-
-    def world(count: int, generator: Generator) -> PaidLottery:
-        return PaidLottery(tickets(count, generator))
-
-    setup: Setup[Any] = Setup(
-        actions=actions, world_of=PaidLottery, imagine=lambda *_: world(0, seeded(0)),
-        evolution=replace(SMALL, **evolution), max_transitions=4,
-        budget=Budget(30, satisfied=satisfied),
-    )  # fmt: skip
-    return MeanSearch(setup, Fresh(world, 4, pace))
-
-
-def generation_of(search: MeanSearch, seed: int = 0) -> Generation:
-    """A first generation on a few fresh tickets."""
-    environment = search.fresh.world(FEWEST, seeded(seed))
-    return next(evolve(environment, ACTIONS, search.structures, seeded(seed), max_transitions=4))
-
-
-def tuned(skill: Skill, toll: float = 0.0, **about: Any) -> Tuning:
-    found = begun(skill.graph, ACTIONS, 2, toll)
-    assert found is not None
-    updates = about.pop("updates", 0)
-    return replace(found, distribution=replace(found.distribution, updates=updates), **about)
 
 
 def test_a_generation_is_counted_and_its_champion_is_the_first_holder() -> None:
@@ -206,7 +174,7 @@ def test_the_target_is_reached_by_a_mean_that_is_known_well() -> None:
         same_one = State(holder=unsure)
         assert search.certain(same_one, seeded(0)) == (same_one, False)
     # Nothing more is played of what is known well, which has to be better by standard errors.
-    known = good.met(torch.tensor([1.0, 2.0]).repeat(TRIED))
+    known = good.met(torch.tensor([1.0, 2.0]).repeat(TRIED // 2))
     for satisfied, wanted in (
         (1.5 - 0.99 * CERTAIN * known.error, False),
         (1.5 - 1.01 * CERTAIN * known.error, True),
@@ -346,23 +314,24 @@ class Lasting(Fresh):
 
     def runs(self, graphs: Graphs, actions: ActionSet, world: Environment) -> Rollouts:
         found = super().runs(graphs, actions, world)
-        lengths = found.transitions + torch.arange(found.transitions.numel()).view_as(
-            found.state[..., 0]
-        )
+        shape = found.transitions.shape
+        lengths = found.transitions + torch.arange(shape.numel()).view(shape)
         earned = 1 + graphs.parameters[:, 0, :1] / 10
         return replace(found, transitions=lengths, returns=self.sign * lengths * earned)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_toll_is_what_a_transition_was_worth_before_tuning(sign: float) -> None:
-    fresh = Lasting(search_of().fresh.world, 4)
-    fresh.sign = sign
+def test_a_toll_is_what_a_transition_was_worth_before_tuning() -> None:
+    search = MeanSearch(search_of().setup, Lasting(search_of().fresh.world, 4))
     one = tuned(staking(0.5))
     moved = replace(one, distribution=replace(one.distribution, mean=one.distribution.mean + 1))
     state = State(HELD, moved, (tuned(staking(0.1)),), spent=PLAYED)
-    after = MeanSearch(search_of().setup, fresh)._tuned(state, (moved,), seeded(5))
-    assert after.toll == pytest.approx(1.05 if sign > 0 else 0)
-    assert [each.toll for each in after.rivals] == [0.0, *[after.toll] * (sign > 0)]
+    after = search._tuned(state, (moved,), seeded(5))
+    assert after.toll == pytest.approx(1.05)
+    assert [each.toll for each in after.rivals] == [0.0, after.toll]
+    assert search._tuned(replace(state, toll=0.3), (moved,), seeded(5)).toll == 0.3
+    for sign, worth in ((1.0, 1.05), (-1.0, 0.0), (math.inf, 0.0), (-math.inf, 0.0), (0.0, 0.0)):
+        search.fresh.sign = sign  # type: ignore[attr-defined]
+        assert search._worth_of_transitions(moved, seeded(6)) == pytest.approx(worth)
 
 
 @pytest.mark.parametrize("toll", [0.0, 0.5])
@@ -375,8 +344,10 @@ def test_the_same_graph_is_tuned_with_another_toll_if_one_is_known(toll: float) 
     assert [each.alone for each in first.rivals] == [False, True]
     unknown = after_one(State(HELD, one, (rival,), toll=toll, spent=PLAYED))
     assert len(unknown.rivals) == 1 + (toll > 0)
-    later = replace(one, distribution=replace(one.distribution, updates=EVERY))
-    assert len(after_one(State(HELD, later, (rival,), toll=0.5, spent=PLAYED)).rivals) == 1
+    for updates, rivals in ((EVERY - 1, 2), (EVERY, 1)):
+        later = replace(one, distribution=replace(one.distribution, updates=updates))
+        state = State(HELD, later, (rival,), toll=0.5, spent=PLAYED)
+        assert len(after_one(state).rivals) == rivals
     already = tuned(staking(0.1), 0.75)
     more = after_one(State(HELD, one, (already,), toll=0.5, spent=PLAYED))
     assert [each.toll for each in more.rivals] == [0.75]

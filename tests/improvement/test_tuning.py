@@ -31,7 +31,7 @@ from cgtorch.improvement.tuning import (
     begun,
     calmed,
     flat,
-    long_is_good,
+    mainly_lengths,
     update,
     with_parameters,
 )
@@ -329,14 +329,14 @@ def test_a_toll_changes_what_is_best_and_not_what_is_told() -> None:
     assert after.distribution.mean[0] < free.distribution.mean[0] - 0.1
 
 
-def test_long_is_good_where_values_are_mainly_lengths() -> None:
+def test_values_that_are_mainly_lengths_are_told() -> None:
     lengths = torch.tensor([[10, 20], [30, 60], [15, 5]])
     luck = torch.tensor([[1.0, -1.0], [3.0, 2.0], [-3.0, -2.0]])
-    assert long_is_good(2.0 * lengths + 5 * luck, lengths)
-    assert not long_is_good(2.0 * lengths, lengths)  # nothing else would be left
-    assert not long_is_good(-2.0 * lengths + luck, lengths)
-    assert not long_is_good(luck, torch.full((3, 2), 7))
-    assert not long_is_good(100 * luck + lengths, lengths)
+    assert mainly_lengths(2.0 * lengths + 5 * luck, lengths)
+    assert not mainly_lengths(2.0 * lengths, lengths)  # nothing else would be left
+    assert not mainly_lengths(-2.0 * lengths + luck, lengths)
+    assert not mainly_lengths(luck, torch.full((3, 2), 7))
+    assert not mainly_lengths(100 * luck + lengths, lengths)
 
 
 def test_the_mean_moves_to_a_better_graph_of_the_same_nodes() -> None:
