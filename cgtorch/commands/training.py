@@ -117,7 +117,7 @@ def _before(work: Work) -> Iterator[str]:
     elif run.imagines:
         yield "  1. Play a few short episodes of random controls, and fit Γ and rewards to them."
         yield "  2. Evolve skills in imagined episodes, and play the best of them in the world."
-    elif rewarded(run.domain):
+    elif rewarded(run.domain) and settings.method == "compose":
         yield "  1. Evolve skills in the world itself, on fresh episodes in each generation."
         yield "  2. Keep the best until another skill beats it on further fresh episodes."
     else:

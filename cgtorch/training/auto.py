@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Generator
 
-from cgtorch.domains.domain import Domain
+from cgtorch.domains.domain import Domain, rewarded
 from cgtorch.evolution.search import derived_generator
 from cgtorch.graphs import Skill
 from cgtorch.ground.asked import Purse
@@ -122,10 +122,11 @@ def _round(
         if skill is None:
             return None
         accepted, scores, met = tally.accepted, list[Score](), False
+        by_mean = rewarded(run.domain) or training.by_mean(after)
         if run.repeats:
             with training.working(f"testing {skill.name} on fresh scenarios"):
                 about = training, goal, name, decisions
-                if training.by_mean(after):
+                if by_mean:
                     scores, met = _mean_tested(*about, skill, tally.episodes)
                 else:
                     after, scores, met = _tested(*about, after, _tests_generator(run, name))
@@ -142,7 +143,7 @@ def _round(
             "fresh": tests[0] if tests else None,
             "overall": tests[-1] if tests else None,
             "decisive": tests[1] if len(tests) > 1 else None,
-            "mean_holds": met if training.by_mean(after) else None,
+            "mean_holds": met if by_mean else None,
             "in_a_row": tally.in_a_row,
             "practice": training.practice(name),
         }

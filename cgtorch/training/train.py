@@ -28,7 +28,8 @@ from cgtorch.improvement.expected import improve_expected
 from cgtorch.improvement.grow import grow
 from cgtorch.improvement.imagined import improve_imagined
 from cgtorch.improvement.improve import improve
-from cgtorch.improvement.setup import Progress
+from cgtorch.improvement.rehearse import rehearse
+from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.runs.journal import FOLDER, forget, journal_of
 from cgtorch.runs.log import history_of
 from cgtorch.runs.storage import load_progress, save_progress
@@ -183,7 +184,7 @@ def make_stage(
                 aim = run.domain.target_return if target == inf else target
                 after = improve_imagined(for_means(run, setup, aim), *about)
             elif not training.by_mean(before):
-                after = METHODS[run.settings.method](setup, before, tests, draw)
+                after = _improved(training, setup, kind, before, tests, draw)
             if not run.imagines and training.by_mean(after) and not training.purse.exhausted:
                 after = improve_expected(for_means(run, setup, target), after, tests, draw)
             tally.seconds = time.perf_counter() - began
@@ -192,6 +193,23 @@ def make_stage(
             _keep(training, name, tally.accepted, made)
             return made
     raise _not_improved(training, name)
+
+
+def _improved(
+    training: Training, setup: Setup[Any], kind: str, before: Progress[Any], tests: Any, draw: Any
+) -> Progress[Any]:
+    """The progress after a stage or round by the run's method.
+
+    Where the world repeats itself, a kind that an earlier stage has learned is only rehearsed.
+    """
+    run, stages, skill = training.run, training.run.domain.stages, before.skill
+    rehearses = setup.repeats and run.settings.method == "compose" and setup.name in stages
+    if rehearses and skill is not None and not before.chance:
+        learned = [x["fresh"] for x in run.results if x["scenarios"] == kind and "fresh" in x]
+        if learned:
+            share = learned[-1]["succeeded"] / learned[-1]["tried"]
+            return rehearse(setup, before, skill, tests, draw, share)
+    return METHODS[run.settings.method](setup, before, tests, draw)
 
 
 def _not_improved(training: Training, missing: str) -> NotImprovedError:

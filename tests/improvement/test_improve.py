@@ -250,3 +250,22 @@ def test_first_percepts_to_practise_on_are_looks_at_fresh_scenarios(
         assert drawn[0] == setup.looks
         assert about.purse.spent["looks"] == Asked(looks=looks)
         drawn.clear()
+
+
+def test_the_papers_method_draws_scenarios_where_there_is_nothing_else_to_solve() -> None:
+    """As in a first round; else only what is given is tried."""
+    drawn: list[int] = []
+
+    def draw(count: int, generator: torch.Generator) -> Scenarios:
+        drawn.append(count)
+        return random_scenarios("near", count, generator)
+
+    few = without_models(group=5, attempts=1, evolution=EvolutionSettings(population=30))
+    setup = stage_of(replace(few, budget=Budget(generations=3)))
+    after = grow(setup, first_stage(), NONE, draw)
+    assert drawn == [5]
+    assert len(after.solved) + len(after.missed) in (0, 5)
+    one = random_scenarios("near", 1, seeded(3))
+    grow(setup, first_stage(), one, draw)
+    grow(setup, first_stage(missed=one), NONE, draw)
+    assert drawn == [5]

@@ -2,6 +2,7 @@
 
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -199,3 +200,16 @@ def test_models_with_rewards_are_refused_for_the_papers_method(tmp_path: Path) -
     with pytest.raises(SettingsError, match=r"gives rewards, and a Γ .* with method 'paper'"):
         made(tmp_path / "run", PaidTombola(), models="learned", method="paper")
     assert made(tmp_path / "other", PaidTombola(), models="learned").imagines
+
+
+def test_the_papers_method_ends_by_the_mean_return(tmp_path: Path) -> None:
+    short = begun(tmp_path / "run")
+    run = replace(short, settings=replace(short.settings, method="paper"))
+    events = list[Event]()
+    goal = Goal(target=LIMIT / 2, rounds=3)
+    result = train_until(Training(run, events.append, quietly), goal)[-1]
+    tests = of(events, FreshTested)
+    assert tests[-1].mean_return >= LIMIT / 2
+    assert tests[-1].decisive
+    assert result["mean_holds"]
+    assert result["skill"] == run.rounds[-1]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from cgtorch.improvement.events import (
     StageStarted,
 )
 from cgtorch.improvement.setup import Progress, Setup
-from cgtorch.improvement.trial import first_percepts
+from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_progress
@@ -327,3 +328,31 @@ def test_a_search_that_is_recalled_counts_with_all_of_its_generations() -> None:
     assert (tally.generations, tally.transitions, tally.searching) == (21, 90, 4.5)
     assert tally.champion is one  # which was as good before
     assert tally.best == 0.5
+
+
+def test_a_kind_that_comes_again_is_rehearsed(make: Make, run: StoredRun) -> None:
+    """On a fifth of what is practised, and not by the usual method, of which there is one."""
+    domain, settings = copy(TABLE), replace(SETTINGS, practice=20)
+    object.__setattr__(domain, "stages", {"S0": "near", "S1": "near"})
+    again = replace(run, domain=domain, settings=settings)
+    first, second = make(again, Method(*ALL), stage="S1")
+    assert first["fresh"]["succeeded"] >= 20
+    assert second["skill"] == "S1"
+    assert (second["w_size"], second["generations"]) == (len(ALL), 0)
+    tests = try_skill(SKILL, TABLE.world(TABLE.tests("near"))).succeeded
+    assert second["targets_succeeded"] == int(tests.sum()) >= 3
+    assert (second["targets"], second["earlier_failures"]) == (len(tests), 0)
+    assert second["asked"]["practice"]["episodes"] == 4 + len(tests)
+
+
+@pytest.mark.parametrize("settings", [
+    replace(SETTINGS, method="paper"),
+    replace(SETTINGS, practice=5),
+])  # fmt: skip
+def test_other_kinds_and_the_papers_method_are_made_in_the_usual_way(
+    settings: RunSettings, make: Make, run: StoredRun
+) -> None:
+    domain = copy(TABLE)
+    second = "near" if settings.method == "paper" else "left"
+    object.__setattr__(domain, "stages", {"S0": "near", "S1": second})
+    make(replace(run, domain=domain, settings=settings), Method(*ALL), Method(*ALL), stage="S1")
