@@ -54,7 +54,9 @@ def rehearse(
     )
     fresh = good[:count]
     setup.watch(Practised(setup.name, skill, int(fresh.flip(0).cumprod(0).sum()), count))
-    if not good.any() or wilson(int(fresh.sum()), count, CONFIDENCE)[1] < share:
+    now = int(fresh.sum())
+    worse = now < share * count and wilson(now, count, CONFIDENCE)[1] < share
+    if worse or not good.any():
         return improve(setup, after, tests, draw)
     named = Skill(setup.name, skill.graph, skill.actions, skill.max_transitions)
     every = scenarios.joined(missed, progress.solved)

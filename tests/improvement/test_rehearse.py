@@ -42,7 +42,7 @@ def rehearsed(
     def draw(count: int, generator: Generator) -> Scenarios:
         return drawn[rows[:count]]
 
-    setup = stage_of(without_models(practice=FRESH * FEWER, **changed), told.append)
+    setup = stage_of(without_models(practice=len(good) * FEWER, **changed), told.append)
     progress = known(world_of, SKILL, NONE) if progress is None else progress
     return rehearse(setup, progress, SKILL, tests, draw, share), told
 
@@ -114,6 +114,16 @@ def test_it_is_improved_if_it_is_significantly_worse(
     if worse:
         assert after is improved[0]
         assert (len(after.solved), len(after.missed)) == (solved, FRESH - solved)
+
+
+@pytest.mark.parametrize("count", range(1, 41))
+def test_a_skill_that_solves_all_is_not_worse(
+    count: int, improved: list[Progress[Scenarios]]
+) -> None:
+    """However the ends of intervals are rounded."""
+    _, told = rehearsed([True] * count, 1.0)
+    assert not improved
+    assert len(of_kind(told, SkillAccepted)) == 1
 
 
 def test_a_skill_that_got_worse_is_improved_on_what_it_missed(
