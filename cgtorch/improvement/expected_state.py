@@ -58,7 +58,7 @@ class State:
             none, or it is of no more use.
         rivals: The tunings of other structures.
         settled: Whether tuning the holder has been of no more use.
-        toll: What a transition was worth where values are mainly the lengths of episodes; else 0.
+        lengthy: Whether values have been mainly the lengths of episodes.
         need: The number of scenarios of the next generation.
         spent: What was spent so far.
     """
@@ -67,7 +67,7 @@ class State:
     tuning: Tuning | None = None
     rivals: tuple[Tuning, ...] = ()
     settled: bool = False
-    toll: float = 0.0
+    lengthy: bool = False
     need: Need = field(default_factory=Need)
     spent: Spent = field(default_factory=Spent)
 
@@ -112,7 +112,7 @@ def tensors_of_state(state: State, given: Skill | None) -> dict[str, Tensor]:
         "need": torch.tensor([state.need.scenarios, state.need.reliability], dtype=torch.float64),
         "spent": torch.tensor(astuple(state.spent)),
         "settled": torch.tensor(state.settled),
-        "toll": torch.tensor(state.toll, dtype=torch.float64),
+        "lengthy": torch.tensor(state.lengthy),
     }
     for number, rival in enumerate(state.rivals):
         found |= _tensors_of(f"rival {number}", rival)
@@ -175,7 +175,7 @@ def state_from_tensors(
             settled=bool(tensors["settled"]),
             tuning=_from_tensors("tuning", tensors, actions),
             rivals=tuple(each for each in rivals if each is not None),
-            toll=float(tensors["toll"]),
+            lengthy=bool(tensors["lengthy"]),
         )
         if "sums" not in tensors:
             return state

@@ -24,11 +24,12 @@ from cgtorch.improvement.rivals import best, candidates, compared, halved, next_
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import EVERY, SAMPLES, TRAIL, Tuning, begun, update
+from cgtorch.improvement.tuning import EVERY, SAMPLES, TRAIL, Tuning, begun, calmed, update
 
 OFTEN = 5  # generations after which the mean of a holder that stays is known better
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
 TRIED, CERTAIN = 100, 2.0  # values with which it has to hold, by so many standard errors
+PLAIN = 10  # episodes of a graph that does nothing
 ENDLESS = 10  # generations in which no episode ends, after which a search is hopeless
 
 
@@ -197,13 +198,10 @@ class MeanSearch:
         count, mean = tuning.scenarios, self._mean_of(tuning)
         return tuning.seen(float(self.fresh.of_skills([mean], count, generator).mean()))
 
-    def _worth_of_transitions(self, tuning: Tuning, generator: Generator) -> float:
-        """What a transition is worth to a graph before it is tuned; 0 if it is worth nothing.
-
-        Its parameters are zero as a rule, so that this is the bonus of a robot that does nothing.
-        """
-        world = self.fresh.world(FEWEST, generator)
-        runs = self.fresh.runs(tuning.graph, self.setup.actions, world)
+    def _worth_of_transitions(self, graph: Graphs, generator: Generator) -> float:
+        """What a transition is worth to a graph; 0 if it is worth nothing."""
+        world = self.fresh.world(PLAIN, generator)
+        runs = self.fresh.runs(graph, self.setup.actions, world)
         worth = float(what_counts(runs).sum() / runs.transitions.sum())
         return worth if 0 < worth < math.inf else 0.0
 
@@ -230,8 +228,7 @@ class MeanSearch:
         found = [(self._seen(tuning, generator), long) for tuning, long in updates]
         holds = state.tuning is turn[0]
         for old, (new, long) in zip(turn, found, strict=True):
-            toll = state.toll or (self._worth_of_transitions(new, generator) if long else 0.0)
-            state = replace(state.with_tuned(old, new), toll=toll)
+            state = replace(state.with_tuned(old, new), lengthy=state.lengthy or long)
         episodes, executed = self.fresh.episodes - episodes, self.fresh.executed - executed
         state = replace(state, spent=state.spent.after_updates(holds, episodes, executed))
         if not holds:
@@ -260,7 +257,7 @@ class MeanSearch:
     ) -> State:
         """The state after an update of the holder's tuning, and a race of its mean if it is due."""
         if tuning.distribution.updates <= EVERY:
-            state = replace(state, rivals=self._with_other_toll(state, tuning))
+            state = replace(state, rivals=self._with_other_toll(state, tuning, generator))
         if not tuning.due:
             return state
         if promoted := self._promoted(state, tuning):
@@ -270,18 +267,27 @@ class MeanSearch:
         state, tuning, _ = self._mean_raced(state, tuning, generator)
         if not tuning.stalled:
             return replace(state, tuning=tuning)
-        state = replace(state, rivals=self._with_other_toll(state, tuning))
+        state = replace(state, rivals=self._with_other_toll(state, tuning, generator))
         state = replace(state, rivals=self._with_split(state, tuning))
         more = tuning.more() if LARGEST * episodes <= state.spent.episodes else None
         return replace(state, tuning=more, settled=more is None)
 
-    def _with_other_toll(self, state: State, tuning: Tuning) -> tuple[Tuning, ...]:
-        """The rivals, with a new tuning of the same graph under another toll, if one is known."""
+    def _with_other_toll(
+        self, state: State, tuning: Tuning, generator: Generator
+    ) -> tuple[Tuning, ...]:
+        """The rivals, with a new tuning of the same graph under another toll, if lengths count.
+
+        It begins anew, as the best so far may fall as late as it can. Its toll is what a transition
+        is worth to a graph that does nothing, as one with parameters of zero does as a rule.
+        """
         actions, rivals = self.setup.actions, state.rivals
-        toll = 0.0 if tuning.toll else state.toll
-        if toll == tuning.toll or any(each.toll for each in rivals):
+        if not state.lengthy or any(each.toll for each in rivals):
             return rivals
-        other = begun(tuning.graph, actions, tuning.scenarios, toll, alone=True)
+        graph = calmed(tuning.graph, actions)
+        toll = 0.0 if tuning.toll else self._worth_of_transitions(graph, generator)
+        if toll == tuning.toll:
+            return rivals
+        other = begun(graph, actions, tuning.scenarios, toll, alone=True)
         return rivals if other is None else (*rivals, other)
 
     def _with_split(self, state: State, tuning: Tuning) -> tuple[Tuning, ...]:

@@ -112,9 +112,9 @@ def test_what_is_kept_is_what_is_read(given: bool) -> None:
     two = replace(two, trail=(1.0, -2.5))
     holder = Holder(staking(0.3, 0.1), 3.5, 7.25, 4)
     spent, need = Spent(1, 2, 3, 4, 5, 6, 7), Need(12, 0.625)
-    state = State(holder, one, (two, one), True, 0.1, need, spent)
+    state = State(holder, one, (two, one), True, True, need, spent)
     found = read(state, given)
-    assert (found.settled, found.toll, found.need, found.spent) == (True, 0.1, need, spent)
+    assert (found.settled, found.lengthy, found.need, found.spent) == (True, True, need, spent)
     assert found.tuning is not None
     for kept, was in zip((found.tuning, *found.rivals), (one, two, one), strict=True):
         assert same(kept.graph, was.graph)

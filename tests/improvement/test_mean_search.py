@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import replace
+from typing import ClassVar
 
 import pytest
 import torch
 from lottery import ACTIONS, Stake, idle, staking
 from lottery_search import generation_of, search_of, tuned
 from support import same, seeded
+from torch import Generator
 
 from cgtorch.evolution import chance_of_success, evolve
 from cgtorch.graphs import ActionSet, BranchingNN, Graphs
@@ -24,7 +26,7 @@ from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP, Pace
 from cgtorch.improvement.paired_race import Fresh, Holder
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES, TRAIL
+from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES, TRAIL, Tuning
 from cgtorch.simulation import Rollouts
 
 
@@ -320,37 +322,50 @@ class Lasting(Fresh):
         return replace(found, transitions=lengths, returns=self.sign * lengths * earned)
 
 
-def test_a_toll_is_what_a_transition_was_worth_before_tuning() -> None:
+def test_a_toll_is_what_a_transition_is_worth_before_tuning() -> None:
     search = MeanSearch(search_of().setup, Lasting(search_of().fresh.world, 4))
     one = tuned(staking(0.5))
     moved = replace(one, distribution=replace(one.distribution, mean=one.distribution.mean + 1))
     state = State(HELD, moved, (tuned(staking(0.1)),), spent=PLAYED)
     after = search._tuned(state, (moved,), seeded(5))
-    assert after.toll == pytest.approx(1.05)
-    assert [each.toll for each in after.rivals] == [0.0, after.toll]
-    assert search._tuned(replace(state, toll=0.3), (moved,), seeded(5)).toll == 0.3
+    assert after.lengthy
+    assert [each.toll for each in after.rivals] == [0.0, pytest.approx(1.05)]
     for sign, worth in ((1.0, 1.05), (-1.0, 0.0), (math.inf, 0.0), (-math.inf, 0.0), (0.0, 0.0)):
         search.fresh.sign = sign  # type: ignore[attr-defined]
-        assert search._worth_of_transitions(moved, seeded(6)) == pytest.approx(worth)
+        assert search._worth_of_transitions(one.graph, seeded(6)) == pytest.approx(worth)
+
+
+class Known(MeanSearch):
+    """A search where a transition is worth so much."""
+
+    worth: ClassVar[float] = 0.5
+
+    def _worth_of_transitions(self, graph: Graphs, generator: Generator) -> float:
+        return self.worth
 
 
 @pytest.mark.parametrize("toll", [0.0, 0.5])
-def test_the_same_graph_is_tuned_with_another_toll_if_one_is_known(toll: float) -> None:
-    one = tuned(staking(0.5), toll)
-    rival = tuned(staking(0.1))
-    first = after_one(State(HELD, one, (rival,), toll=0.5, spent=PLAYED))
-    assert [each.toll for each in first.rivals] == [0.0, 0.5 - toll]
-    assert same(first.rivals[1].graph, one.graph)
-    assert [each.alone for each in first.rivals] == [False, True]
-    unknown = after_one(State(HELD, one, (rival,), toll=toll, spent=PLAYED))
-    assert len(unknown.rivals) == 1 + (toll > 0)
+def test_the_same_graph_is_tuned_with_another_toll_where_lengths_count(
+    toll: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def after_update(one: Tuning, *rivals: Tuning, lengthy: bool = True) -> tuple[Tuning, ...]:
+        state = State(HELD, one, rivals, lengthy=lengthy, spent=PLAYED)
+        return search._tuned(state, (one,), seeded(5)).rivals
+
+    search = Known(*vars(search_of()).values())
+    one, rival = tuned(staking(0.5), toll), tuned(staking(0.1))
+    first = after_update(one, rival)
+    assert [each.toll for each in first] == [0.0, 0.5 - toll]
+    assert same(first[1].graph, one.graph)
+    assert [each.alone for each in first] == [False, True]
+    assert len(after_update(one, rival, lengthy=False)) == 1
     for updates, rivals in ((EVERY - 1, 2), (EVERY, 1)):
         later = replace(one, distribution=replace(one.distribution, updates=updates))
-        state = State(HELD, later, (rival,), toll=0.5, spent=PLAYED)
-        assert len(after_one(state).rivals) == rivals
+        assert len(after_update(later, rival)) == rivals
     already = tuned(staking(0.1), 0.75)
-    more = after_one(State(HELD, one, (already,), toll=0.5, spent=PLAYED))
-    assert [each.toll for each in more.rivals] == [0.75]
+    assert [each.toll for each in after_update(one, already)] == [0.75]
+    monkeypatch.setattr(Known, "worth", toll)  # so that there is no other
+    assert len(after_update(one, rival)) == 1 + (toll > 0)
 
 
 def test_where_lanes_are_cheap_rivals_are_tuned_together_on_many_scenarios() -> None:
