@@ -307,9 +307,13 @@ class MeanSearch:
         """
         young = compared(state.rivals) and not rival.alone
         leads = self.fresh.pace.together and rival is best(state.rivals)
-        if not rival.due or not self._affords(state) or (young and not leads):
+        if not rival.due or (young and not leads):
             return state
         others = tuple(each for each in state.rivals if each is not rival)
+        if promoted := self._promoted(state, rival):
+            return replace(promoted, tuning=rival.raced(won=True), rivals=others)
+        if not self._affords(state):
+            return state
         state, rival, won = self._mean_raced(state, rival, generator)
         if won:
             return replace(state, tuning=rival, rivals=others)

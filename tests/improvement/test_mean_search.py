@@ -263,6 +263,25 @@ def test_a_mean_holds_without_a_race_if_the_latest_means_were_better() -> None:
             assert same(state.holder.skill.graph, state.tuning.mean(ACTIONS))
 
 
+@pytest.mark.parametrize(("worth", "holds"), [(30.0, True), (-30.0, False)])
+def test_a_rivals_mean_holds_without_a_race_in_the_same_way(worth: float, holds: bool) -> None:
+    holder = Holder(staking(-1.0)).met(torch.full((50,), 0.2))
+    rival = tuned(staking(1.0), updates=EVERY - 1, lost=2, alone=True, trail=(worth,) * 3)
+    other = tuned(staking(0.0), updates=EVERY)
+    spent = replace(PLAYED, raced=10**6)
+    state = after_one(State(holder, None, (rival, other), settled=True, spent=spent))
+    assert (state.holder is holder) is not holds
+    if holds:
+        assert state.holder is not None
+        assert state.tuning is not None
+        assert same(state.holder.skill.graph, state.tuning.mean(ACTIONS))
+        assert (state.tuning.lost, state.tuning.trail[:3]) == (0, rival.trail)
+        assert state.rivals == (other,)
+    else:
+        assert state.tuning is None
+        assert [each.lost for each in state.rivals] == [2, 0]
+
+
 def test_means_are_tried_where_races_are_due_and_steps_are_what_costs() -> None:
     for updates, pace, tried in (
         (EVERY - 1, BY_STEP, 1),
