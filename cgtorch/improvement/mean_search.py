@@ -111,11 +111,24 @@ class MeanSearch:
         returns, holder = self.setup.evolution.fitness is episode_return, state.holder
         if returns and holder is not None and generation.best < holder.mean:
             return state
-        champion, tuning = self.skill_of(generation.champion.graphs), state.tuning
+        champion = self.skill_of(generation.champion.graphs)
         state, won = self._raced(state, champion, generator)
-        if not won or tuning is None:
+        return self._followed(state, champion.graph) if won else state
+
+    def _followed(self, state: State, graph: Graphs) -> State:
+        """The state in which the tuning with the same nodes that is nearest goes on from a graph.
+
+        It may be a rival that races, whose mean was a guest of the generation.
+        """
+        actions, young = self.setup.actions, compared(state.rivals)
+        racing = (each for each in state.rivals if each.alone or not young)
+        every = (each for each in (state.tuning, *racing) if each is not None)
+        fit = [each for each in every if each.fits(graph)]
+        if not fit:
             return state
-        return replace(state, tuning=tuning.moved(champion.graph, self.setup.actions))
+        nearest = min(fit, key=lambda each: each.distance(graph, actions))
+        rivals = tuple(each for each in state.rivals if each is not nearest)
+        return replace(state, tuning=nearest.moved(graph, actions), rivals=rivals)
 
     @property
     def structures(self) -> EvolutionSettings:

@@ -15,7 +15,7 @@ from cgtorch.evolution.cma import (
     usual_count,
 )
 from cgtorch.evolution.lineages import tunable
-from cgtorch.graphs import ActionSet, Graphs, concatenate, widened
+from cgtorch.graphs import ActionSet, Graphs, concatenate, trimmed, widened
 from cgtorch.improvement.horizon import Played, played_until
 from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.spread import MANY, Need
@@ -86,13 +86,20 @@ class Tuning:
         """The tuning after its mean was worth so much on fresh scenarios."""
         return replace(self, trail=(*self.trail, worth)[-TRAIL:])
 
+    def fits(self, graph: Graphs) -> bool:
+        """Whether a graph differs in parameters only."""
+        names, graph = ("action", "edges", "start"), trimmed(graph)
+        return all(torch.equal(getattr(self.graph, name), getattr(graph, name)) for name in names)
+
+    def distance(self, graph: Graphs, actions: ActionSet) -> float:
+        """How far its mean is from the parameters of a graph that fits."""
+        return float((self.distribution.mean.float() - _parameters(graph, actions)).norm())
+
     def moved(self, graph: Graphs, actions: ActionSet) -> "Tuning":
-        """The tuning with the parameters of a graph as its mean, if that has the same nodes."""
-        names = "action", "edges", "start"
-        if not all(torch.equal(getattr(self.graph, name), getattr(graph, name)) for name in names):
-            return self
-        mean = graph.parameters[0][tunable(graph, actions)].double()
-        distribution = replace(self.distribution, mean=mean)
+        """The tuning with the parameters of a graph that fits as its mean."""
+        if self.distance(graph, actions) == 0:
+            return replace(self, lost=0)
+        distribution = replace(self.distribution, mean=_parameters(graph, actions).double())
         return replace(self, lost=0, trail=(), distribution=distribution)
 
     def counted(self, before: "Tuning") -> "Tuning":
@@ -174,6 +181,11 @@ def begun(
     deviation = deviation / math.sqrt(len(deviation))
     mean = graph.parameters[0][where]
     return Tuning(graph, initial_distribution(mean, deviation, MOST_FULL), scenarios, toll, alone)
+
+
+def _parameters(graph: Graphs, actions: ActionSet) -> Tensor:
+    """(n,) the parameters of a graph that can be tuned."""
+    return graph.parameters[0][tunable(graph, actions)]
 
 
 def calmed(graph: Graphs, actions: ActionSet) -> Graphs:

@@ -12,7 +12,7 @@ from support import same, seeded
 from torch import Generator
 
 from cgtorch.evolution import chance_of_success, evolve
-from cgtorch.graphs import ActionSet, BranchingNN, Graphs
+from cgtorch.graphs import ActionSet, BranchingNN, Graphs, widened
 from cgtorch.ground.environment import Environment
 from cgtorch.improvement.expected_state import SHARE, Spent, State
 from cgtorch.improvement.mean_search import (
@@ -131,6 +131,34 @@ def test_a_champion_with_a_smaller_return_than_the_mean_of_the_holder_has_no_rac
     search = search_of(fitness=chance_of_success)
     after = next(search.after(state, replace(generation, best=-1.0, number=1), seeded(1)))
     assert after.spent.raced > 0
+
+
+def test_the_nearest_of_what_is_tuned_goes_on_from_a_champion_that_wins() -> None:
+    """It is a rival as a rule, whose mean was a guest, and else whatever has the same nodes."""
+    search = search_of()
+    generation = generation_of(search)
+    champion = replace(generation.champion, graphs=widened(staking(1.0).graph, 4))
+    later = replace(generation, champion=champion, number=1)
+    holder = Holder(staking(-9.0)).met(torch.full((50,), -9.0))
+    near, far, other = tuned(staking(1.0), lost=3), tuned(staking(0.2)), tuned(staking(0.1))
+    racing = replace(near, alone=True)
+    for tuning, rivals, left in (
+        (far, (near,), ()),
+        (far, (other, racing), (other,)),
+        (near, (far, other), (far, other)),
+        (None, (racing, other, other), (other, other)),
+    ):
+        state = State(holder, tuning, rivals, spent=PLAYED)
+        after = search._champion_raced(state, later, seeded(1))
+        assert after.holder is not None
+        assert after.holder.skill is not holder.skill
+        assert after.tuning is not None
+        assert after.tuning.distribution is near.distribution
+        assert (after.tuning.lost, after.rivals) == (0, left)
+    for rivals in ((), (near, other)):  # which are still compared
+        state = State(holder, None, rivals, spent=PLAYED)
+        after = search._champion_raced(state, later, seeded(1))
+        assert (after.tuning, after.rivals) == (None, rivals)
 
 
 def test_who_finishes_no_episode_holds_nothing() -> None:

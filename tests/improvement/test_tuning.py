@@ -9,7 +9,7 @@ from support import seeded
 from torch import Generator, Tensor
 from walking import RewardedPath, chain, walking_actions, walks
 
-from cgtorch.graphs import ActionSet, Graphs, LinearNN
+from cgtorch.graphs import ActionSet, Graphs, LinearNN, widened
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.improvement.horizon import HORIZONS
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP, Pace
@@ -340,12 +340,29 @@ def test_values_that_are_mainly_lengths_are_told() -> None:
 
 
 def test_the_mean_moves_to_a_better_graph_of_the_same_nodes() -> None:
-    tuning = tuned(0.5, 2, 3).raced(False)
+    tuning = tuned(0.5, 2, 3).raced(False).seen(1.0)
     moved = tuning.moved(staking(0.7, 0.2).graph, ACTIONS)
     assert moved.distribution.mean.tolist() == pytest.approx([0.7, 0.2])
-    assert moved.lost == 0
+    assert (moved.lost, moved.trail) == (0, ())
     assert torch.equal(moved.distribution.covariance, tuning.distribution.covariance)
-    assert tuning.moved(idle().graph, ACTIONS) is tuning
+    stays = tuning.moved(tuning.mean(ACTIONS), ACTIONS)
+    assert stays.distribution is tuning.distribution  # not rounded
+    assert (stays.lost, stays.trail) == (0, (1.0,))
+
+
+def test_a_graph_fits_if_it_differs_in_parameters_and_unused_slots_only() -> None:
+    tuning = tuned(0.5, 2, 3)
+    other = staking(0.7, 0.2).graph
+    assert tuning.fits(other)
+    assert tuning.fits(widened(other, 5))
+    assert not tuning.fits(idle().graph)
+    for name, value in (("edges", 0), ("action", 1)):
+        changed = replace(other, **{name: torch.full_like(getattr(other, name), value)})
+        assert not tuning.fits(changed)
+    assert tuning.distance(tuning.mean(ACTIONS), ACTIONS) == 0
+    mean = tuning.distribution.mean
+    far = float((mean - torch.tensor([0.7, 0.2])).norm())
+    assert tuning.distance(other, ACTIONS) == pytest.approx(far)
 
 
 def test_random_graphs_of_many_parameters_begin_without() -> None:

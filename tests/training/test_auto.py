@@ -15,6 +15,7 @@ from support import create_run, seeded
 from told_by_runs import asked_at_start, logged
 from trained import SMALL, Trained, copied, without_success
 
+from cgtorch.graphs import Skill
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, FreshTested, StageStarted, WorldAsked
@@ -25,7 +26,7 @@ from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.settings import TabletopSettings
-from cgtorch.training.auto import EPISODES, TESTING, _with, act, reached, train_until
+from cgtorch.training.auto import EPISODES, TESTING, _tested, _with, act, reached, train_until
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import check_percepts
 from cgtorch.training.train import NotImprovedError, train
@@ -289,6 +290,22 @@ def test_what_was_tried_joins_w_and_m_with_what_was_seen(tmp_path: Path) -> None
         assert progress.seen is not None
         assert torch.equal(progress.seen, first_percepts(world))
         assert try_skill(nearly(0.3), run.domain.world(progress.solved)).succeeded.all()
+
+
+@pytest.mark.parametrize("skill", [None, nearly(0.3)])
+def test_a_test_names_the_skill_that_is_tried(skill: Skill | None, tmp_path: Path) -> None:
+    """It may be that of an earlier round; without one, all is missed."""
+    run, events = create_run(tmp_path / "run", RunSettings()), list[Event]()
+    none = run.domain.draw(run.kind, 0, seeded(0))
+    progress: Progress[Any] = Progress(skill, none, none, None)
+    training = Training(run, events.append, quietly)
+    goal = Goal(target=0.5)
+    _, (score, *_), _ = _tested(training, goal, "auto-7", 0, progress, seeded(1))
+    first = events[0]
+    assert isinstance(first, FreshTested)
+    assert (first.stage, first.skill) == ("auto-7", "auto-7" if skill is None else skill.name)
+    assert first.succeeded == score.successes
+    assert (first.succeeded > 0) is (skill is not None)
 
 
 @pytest.mark.hostile

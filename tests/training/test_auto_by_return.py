@@ -77,6 +77,7 @@ def test_rounds_go_on_from_the_best_skill_and_test_its_mean(whole: Whole) -> Non
     run, events, results = whole
     assert run.rounds == ("auto-1", "auto-2")
     assert [result["generations"] for result in results] == [9, 9]
+    assert [result["in_a_row"] for result in results] == [0, 0]  # as nothing is practised
     assert [(r["w_size"], r["targets"], r["mean_holds"]) for r in results] == [(0, 0, False)] * 2
     for result, test in zip(results, of(events, FreshTested), strict=True):
         fresh = result["fresh"]

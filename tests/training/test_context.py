@@ -12,6 +12,7 @@ from reaching import TABLE
 from support import seeded
 from walking import Walking
 
+from cgtorch.domains.knowledge import summary_of
 from cgtorch.evolution import (
     REWARDS,
     ChanceOfSuccess,
@@ -108,6 +109,7 @@ def test_settings_of_a_run_reach_improvement() -> None:
     setup = training_of(replace(RUN, settings=some)).setup("S0")
     assert (setup.budget.generations, setup.max_transitions, setup.attempts) == (33, 9, 5)
     assert (setup.device, setup.live, setup.remembers, setup.noisy) == ("cpu", False, False, True)
+    assert setup.describe is summary_of
     sure = training_of(replace(RUN, settings=RunSettings(chance="no"))).setup("S0")
     assert not sure.noisy
     assert (setup.replicas, setup.searches, setup.looks) == (2, SEARCHES, LOOKS)

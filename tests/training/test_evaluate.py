@@ -80,6 +80,11 @@ def test_the_score_on_some() -> None:
     assert (score(2, 4).of(~mask).successes, score(2, 4).of(~mask).tried) == (1, 1)
 
 
+def test_no_scenarios_are_a_score_of_none() -> None:
+    score = evaluate_skill(nearly(0.3), TABLE, "near", 0, 0)
+    assert (score.successes, score.tried) == (0, 0)
+
+
 @pytest.mark.parametrize(("placement", "count"), [("top", 5), ("near", -1), ("", 3)])
 def test_bad_requests(placement: str, count: int) -> None:
     with pytest.raises(SettingsError):

@@ -5,15 +5,26 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from driven_cart import CartDriver
+from support import seeded
 from trained import Trained, copied, interrupted
 
 import cgtorch
 from cgtorch import open_run
 from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.storage import save_scenarios
 from cgtorch.runs.stored_run import planned_run, read_run
-from cgtorch.training.explained import EPISODES, _wanted, background_of, explained, searched_of
+from cgtorch.training.explained import (
+    EPISODES,
+    KNOWN,
+    MISSED,
+    _wanted,
+    background_of,
+    explained,
+    searched_of,
+)
 from cgtorch.training.train import FRESH
 
 
@@ -107,6 +118,27 @@ def test_kinds_of_stages_that_were_not_made_are_marked(trained: Trained, tmp_pat
     made = {each.kind: each.made for each in why.found.tried}
     assert made["near"]
     assert not made["left"]
+
+
+@pytest.mark.parametrize("count", [0, 3, KNOWN + 2])
+def test_the_last_that_training_missed_are_tried_too(
+    count: int, trained: Trained, tmp_path: Path
+) -> None:
+    run = read_run(copied(trained, tmp_path / "run"))
+    solved = run.like()
+    missed = run.domain.draw("far", count, seeded(0))
+    save_scenarios(run.folder / "S1" / "scenarios.json", solved, missed)
+    why = explained(run)
+    assert why is not None
+    tried = {each.kind: each.tried for each in why.found.tried}
+    assert tried.get(MISSED, 0) == min(count, KNOWN)
+    if count:
+        last = why.scenarios[-tried[MISSED] :]
+        assert torch.equal(last.seed, missed.seed[-KNOWN:])
+    (run.folder / "S1" / "scenarios.json").unlink()
+    why = explained(run)
+    assert why is not None
+    assert MISSED not in {each.kind for each in why.found.tried}
 
 
 @pytest.mark.parametrize(

@@ -202,6 +202,7 @@ def test_the_causes_of_many_long_failures_are_looked_for_in_few(
 def test_what_tells_failures_from_successes_at_the_start(above: bool) -> None:
     percepts = torch.rand(40, 3, generator=seeded(0))
     percepts[:, 1] = torch.arange(40.0)
+    percepts[:, 2] = torch.arange(40) // 2 % 2  # equal numbers are on one side of a threshold
     failed = (percepts[:, 1] > 29.5) == above
     failed[0] = True
     score = Score(None, percepts, ~failed)

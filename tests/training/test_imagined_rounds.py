@@ -1,6 +1,7 @@
 """Rounds with a learned model with rewards: what is stored, goes on, and is refused."""
 
 from contextlib import nullcontext
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from cgtorch.domains.models import Models
 from cgtorch.domains.rewarded_models import Known
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event
+from cgtorch.improvement.setup import Setup
 from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.storage import load_progress
@@ -65,6 +67,24 @@ def test_a_goal_is_reached_and_steps_in_the_world_are_stored(tmp_path: Path) -> 
     (run.folder / "auto-1" / "known.safetensors").write_bytes(b"none")
     with pytest.raises(RunError, match="known"):
         load_progress(run, run.folder / "auto-1")
+
+
+@pytest.mark.parametrize(("target", "aim"), [(3.0, 3.0), (inf, RewardedCart.target_return)])
+def test_a_search_aims_at_the_goal_or_at_the_domains_target(
+    target: float, aim: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class AskedError(Exception):
+        """The search has been called."""
+
+    def search(setup: Setup[Any], *about: object) -> None:
+        raise AskedError(setup.budget.satisfied)
+
+    monkeypatch.setattr("cgtorch.training.train.improve_imagined", search)
+    run = planned(tmp_path / "run", RewardedCart())
+    write_run(run)
+    with pytest.raises(AskedError) as found:
+        trained(run, Goal(target=target, rounds=1))
+    assert found.value.args == (aim,)
 
 
 def test_damaged_steps_are_refused(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from support import create_run
 import cgtorch
 from cgtorch.ground.asked import NAMES, Purse
 from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.runs.journal import TakenOver
+from cgtorch.runs.journal import TakenOver, remember_goal
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.training.session import (
@@ -110,6 +110,12 @@ def test_a_goal_is_for_rounds(run: StoredRun) -> None:
     stage = prepared(run, run.settings, TrainingRequest("S1"))
     assert (stage.stage, stage.auto, stage.goal) == ("S1", False, Goal())
     assert prepared(run, run.settings, TrainingRequest()).stage == "S1"
+
+
+def test_a_goal_that_is_damaged_is_refused(run: StoredRun) -> None:
+    remember_goal(run, {"stage": "auto", "goal": {"traget": 0.9}})
+    with pytest.raises(SettingsError, match=r"the goal of run .* is damaged \(.*traget"):
+        prepared(run, run.settings, TrainingRequest())
 
 
 def test_a_run_without_data_cannot_go_on() -> None:

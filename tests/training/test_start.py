@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +122,8 @@ def test_what_an_exploration_did_not_consider_is_known_too() -> None:
     assert same(known_at_last(one, one.extended(more)), one.extended(more))
     assert same(known_at_last(one, more), one.extended(more))
     assert same(known_at_last(one, one), one)
+    other = replace(one, control=one.control + 1)  # of the same percepts
+    assert same(known_at_last(one, other), one.extended(other))
 
 
 def begin(run: StoredRun, events: list[Event], purse: Purse | None = None) -> Training:
@@ -229,6 +231,23 @@ def test_with_data_alone_nothing_is_asked_of_the_world(tmp_path: Path) -> None:
     training = Training(run, lambda event: None, lambda message: nullcontext())
     assert same(module._first_data(training, seeded(0)), data)
     assert training.purse.total == Asked()
+
+
+def test_what_a_robot_explored_before_an_interruption_is_known_and_paid_for(tmp_path: Path) -> None:
+    domain = driven_cart.cart(tmp_path / "log")
+    run = StoredRun(tmp_path / "run", RunSettings(), domain, domain.actions())
+    training = Training(run, lambda event: None, lambda message: nullcontext())
+    assert module._explored(training) is None
+    world, lanes = driven_cart.begun(domain, phase=EXPLORATION, stage="start")
+    world.step(lanes, driven_cart.push(0.5))
+    later = driven_cart.cart(tmp_path / "log")
+    again = replace(training, run=replace(run, domain=later))
+    data = module._explored(again)
+    assert data is not None
+    assert data.control.tolist() == [[0.5]]
+    assert again.purse.spent[EXPLORATION].motions == 1
+    table = create_run(tmp_path / "table", RunSettings())  # which can be put back
+    assert module._explored(replace(training, run=table)) is None
 
 
 @pytest.mark.parametrize("live", [True, False])
