@@ -253,12 +253,22 @@ class MeanSearch:
                 state = self._rival_due(state, tuning, generator)
         return state
 
-    def _mean_raced(
+    def _challenged(
         self, state: State, tuning: Tuning, generator: Generator
     ) -> tuple[State, Tuning, bool]:
-        """The state after a race of the mean of a tuning, and whether that has won."""
-        state, won = self._raced(state, self._mean_of(tuning), generator)
-        return state, tuning.raced(won), won
+        """The state after the mean of a tuning has challenged the holder, and whether it has won.
+
+        If the latest means do not decide, a race does; where races have had their share, these
+        means have lost.
+        """
+        if promoted := self._promoted(state, tuning):
+            return promoted, tuning.raced(won=True), True
+        if self._affords(state):
+            state, won = self._raced(state, self._mean_of(tuning), generator)
+            return state, tuning.raced(won), won
+        known = state.holder is not None and state.holder.count >= TRAIL
+        lost = known and len(tuning.trail) == TRAIL
+        return state, tuning.raced(won=False) if lost else tuning, False
 
     def _mean_of(self, tuning: Tuning) -> Skill:
         """The skill of a tuning's mean."""
@@ -269,38 +279,31 @@ class MeanSearch:
         self, state: State, tuning: Tuning, episodes: int, generator: Generator
     ) -> State:
         """The state after an update of the holder's tuning, and a race of its mean if it is due."""
-        if tuning.distribution.updates <= EVERY:
-            state = replace(state, rivals=self._with_other_toll(state, tuning, generator))
+        if tuning.distribution.updates <= EVERY and not tuning.toll:
+            state = replace(state, rivals=self._with_toll(state, tuning, generator))
         if not tuning.due:
             return state
-        if promoted := self._promoted(state, tuning):
-            return replace(promoted, tuning=tuning.raced(won=True))
-        if not self._affords(state):
-            return state
-        state, tuning, _ = self._mean_raced(state, tuning, generator)
+        state, tuning, _ = self._challenged(state, tuning, generator)
         if not tuning.stalled:
             return replace(state, tuning=tuning)
-        state = replace(state, rivals=self._with_other_toll(state, tuning, generator))
+        state = replace(state, rivals=self._with_toll(state, tuning, generator))
         state = replace(state, rivals=self._with_split(state, tuning))
         more = tuning.more() if LARGEST * episodes <= state.spent.episodes else None
         return replace(state, tuning=more, settled=more is None)
 
-    def _with_other_toll(
-        self, state: State, tuning: Tuning, generator: Generator
-    ) -> tuple[Tuning, ...]:
-        """The rivals, with a new tuning of the same graph under another toll, if lengths count.
+    def _with_toll(self, state: State, tuning: Tuning, generator: Generator) -> tuple[Tuning, ...]:
+        """The rivals, with a new tuning of the same graph under a toll, if lengths count.
 
-        It begins anew, as the best so far may fall as late as it can. Its toll is what a transition
-        is worth to a graph that does nothing, as one with parameters of zero does as a rule.
+        It begins anew, as the best so far may fall as late as it can, or has stalled. Its toll is
+        what a transition is worth to a graph that does nothing, as one with parameters of zero does
+        as a rule.
         """
         actions, rivals = self.setup.actions, state.rivals
         if not state.lengthy or any(each.toll for each in rivals):
             return rivals
         graph = calmed(tuning.graph, actions)
-        toll = 0.0 if tuning.toll else self._worth_of_transitions(graph, generator)
-        if toll == tuning.toll:
-            return rivals
-        other = begun(graph, actions, tuning.scenarios, toll, alone=True)
+        toll = self._worth_of_transitions(graph, generator)
+        other = begun(graph, actions, tuning.scenarios, toll, alone=True) if toll else None
         return rivals if other is None else (*rivals, other)
 
     def _with_split(self, state: State, tuning: Tuning) -> tuple[Tuning, ...]:
@@ -323,11 +326,7 @@ class MeanSearch:
         if not rival.due or (young and not leads):
             return state
         others = tuple(each for each in state.rivals if each is not rival)
-        if promoted := self._promoted(state, rival):
-            return replace(promoted, tuning=rival.raced(won=True), rivals=others)
-        if not self._affords(state):
-            return state
-        state, rival, won = self._mean_raced(state, rival, generator)
+        state, rival, won = self._challenged(state, rival, generator)
         if won:
             return replace(state, tuning=rival, rivals=others)
         if young:

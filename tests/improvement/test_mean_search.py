@@ -270,14 +270,16 @@ def test_a_mean_does_not_race_before_races_have_their_share_again(held: bool) ->
 def test_a_mean_holds_without_a_race_if_the_latest_means_were_better() -> None:
     known, unknown = torch.full((50,), 0.2), torch.tensor([-50.0, 50.0] * 3)
     rival = tuned(staking(0.0), updates=1)
-    for values, worth, seen, holds in (
-        (known, 30.0, 3, True),
-        (known, 30.0, 2, False),  # as the mean of this update is the third one
-        (known, -30.0, 3, False),
-        (unknown, 30.0, 3, False),  # as the holder may be as good
-        (torch.full((TRAIL - 1,), 0.2), 30.0, 3, False),
-        (torch.full((TRAIL,), 0.2), 30.0, 3, True),
+    for values, worth, seen, lost in (
+        (known, 30.0, 3, 0),
+        (known, 30.0, 2, 2),  # as the mean of this update is the third one
+        (known, -30.0, 3, 3),
+        (unknown, 30.0, 3, 3),  # as the holder may be as good
+        (torch.full((TRAIL - 1,), 0.2), 30.0, 3, 2),
+        (torch.full((TRAIL,), 0.2), 30.0, 3, 0),
+        (torch.full((TRAIL,), 0.2), -30.0, 3, 3),
     ):
+        holds = not lost
         holder = Holder(staking(-1.0)).met(values)
         one = tuned(staking(1.0), updates=EVERY - 1, lost=2, trail=(worth,) * seen)
         spent = replace(PLAYED, raced=10**6)
@@ -285,7 +287,7 @@ def test_a_mean_holds_without_a_race_if_the_latest_means_were_better() -> None:
         assert state.tuning is not None
         assert state.holder is not None
         assert (state.holder.skill is not holder.skill) is holds
-        assert state.tuning.lost == (0 if holds else 2)
+        assert state.tuning.lost == lost
         assert len(state.tuning.trail) == seen + 1
         if holds:
             assert same(state.holder.skill.graph, state.tuning.mean(ACTIONS))
@@ -307,7 +309,7 @@ def test_a_rivals_mean_holds_without_a_race_in_the_same_way(worth: float, holds:
         assert state.rivals == (other,)
     else:
         assert state.tuning is None
-        assert [each.lost for each in state.rivals] == [2, 0]
+        assert [each.lost for each in state.rivals] == [0, 3]
 
 
 def test_means_are_tried_where_races_are_due_and_steps_are_what_costs() -> None:
@@ -391,18 +393,17 @@ class Known(MeanSearch):
         return self.worth
 
 
-@pytest.mark.parametrize("toll", [0.0, 0.5])
-def test_the_same_graph_is_tuned_with_another_toll_where_lengths_count(
-    toll: float, monkeypatch: pytest.MonkeyPatch
+def test_the_same_graph_is_tuned_under_a_toll_where_lengths_count(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def after_update(one: Tuning, *rivals: Tuning, lengthy: bool = True) -> tuple[Tuning, ...]:
         state = State(HELD, one, rivals, lengthy=lengthy, spent=PLAYED)
         return search._tuned(state, (one,), seeded(5)).rivals
 
     search = Known(*vars(search_of()).values())
-    one, rival = tuned(staking(0.5), toll), tuned(staking(0.1))
+    one, rival = tuned(staking(0.5)), tuned(staking(0.1))
     first = after_update(one, rival)
-    assert [each.toll for each in first] == [0.0, 0.5 - toll]
+    assert [each.toll for each in first] == [0.0, 0.5]
     assert same(first[1].graph, one.graph)
     assert [each.alone for each in first] == [False, True]
     assert len(after_update(one, rival, lengthy=False)) == 1
@@ -411,8 +412,13 @@ def test_the_same_graph_is_tuned_with_another_toll_where_lengths_count(
         assert len(after_update(later, rival)) == rivals
     already = tuned(staking(0.1), 0.75)
     assert [each.toll for each in after_update(one, already)] == [0.75]
-    monkeypatch.setattr(Known, "worth", toll)  # so that there is no other
-    assert len(after_update(one, rival)) == 1 + (toll > 0)
+    # One with a toll gets a rival that begins anew where it stalls.
+    has = tuned(staking(0.5), 0.75)
+    assert len(after_update(has, rival)) == 1
+    stalls = tuned(staking(-5.0), 0.75, updates=EVERY - 1, lost=PATIENCE - 1)
+    assert [each.toll for each in after_update(stalls, rival)] == [0.0, 0.5]
+    monkeypatch.setattr(Known, "worth", 0.0)
+    assert len(after_update(one, rival)) == 1
 
 
 def test_where_lanes_are_cheap_rivals_are_tuned_together_on_many_scenarios() -> None:
