@@ -286,7 +286,8 @@ class MeanSearch:
         state, tuning, _ = self._challenged(state, tuning, generator)
         if not tuning.stalled:
             return replace(state, tuning=tuning)
-        state = replace(state, rivals=self._with_toll(state, tuning, generator))
+        if not tuning.improving:
+            state = replace(state, rivals=self._with_toll(state, tuning, generator))
         state = replace(state, rivals=self._with_split(state, tuning))
         more = tuning.more() if LARGEST * episodes <= state.spent.episodes else None
         return replace(state, tuning=more, settled=more is None)

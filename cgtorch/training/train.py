@@ -204,7 +204,7 @@ def _improved(
     """
     run, stages, skill = training.run, training.run.domain.stages, before.skill
     rehearses = setup.repeats and run.settings.method == "compose" and setup.name in stages
-    if rehearses and skill is not None and not before.chance:
+    if rehearses and skill is not None:
         learned = [x["fresh"] for x in run.results if x["scenarios"] == kind and "fresh" in x]
         if learned:
             share = learned[-1]["succeeded"] / learned[-1]["tried"]

@@ -19,6 +19,7 @@ from cgtorch.improvement.mean_search import (
     CERTAIN,
     LARGEST,
     OFTEN,
+    PLAIN,
     TRIED,
     MeanSearch,
 )
@@ -155,6 +156,10 @@ def test_the_nearest_of_what_is_tuned_goes_on_from_a_champion_that_wins() -> Non
         assert after.tuning is not None
         assert after.tuning.distribution is near.distribution
         assert (after.tuning.lost, after.rivals) == (0, left)
+    better = Holder(staking(1.0)).met(torch.full((50,), 9.0))
+    losing = State(better, far, (racing,), spent=PLAYED)
+    after = search._champion_raced(losing, replace(later, best=99.0), seeded(1))
+    assert (after.holder, after.tuning, after.rivals) == (better, far, (racing,))
     for rivals in ((), (near, other)):  # which are still compared
         state = State(holder, None, rivals, spent=PLAYED)
         after = search._champion_raced(state, later, seeded(1))
@@ -381,7 +386,9 @@ def test_a_toll_is_what_a_transition_is_worth_before_tuning() -> None:
     assert [each.toll for each in after.rivals] == [0.0, pytest.approx(1.05)]
     for sign, worth in ((1.0, 1.05), (-1.0, 0.0), (math.inf, 0.0), (-math.inf, 0.0), (0.0, 0.0)):
         search.fresh.sign = sign  # type: ignore[attr-defined]
+        played = search.fresh.episodes
         assert search._worth_of_transitions(one.graph, seeded(6)) == pytest.approx(worth)
+        assert search.fresh.episodes - played == PLAIN
 
 
 class Known(MeanSearch):
@@ -415,8 +422,9 @@ def test_the_same_graph_is_tuned_under_a_toll_where_lengths_count(
     # One with a toll gets a rival that begins anew where it stalls.
     has = tuned(staking(0.5), 0.75)
     assert len(after_update(has, rival)) == 1
-    stalls = tuned(staking(-5.0), 0.75, updates=EVERY - 1, lost=PATIENCE - 1)
+    stalls = tuned(staking(-5.0), 0.75, updates=EVERY - 1, lost=PATIENCE - 1, mark=9.0)
     assert [each.toll for each in after_update(stalls, rival)] == [0.0, 0.5]
+    assert len(after_update(replace(stalls, mark=-99.0), rival)) == 1  # as samples become better
     monkeypatch.setattr(Known, "worth", 0.0)
     assert len(after_update(one, rival)) == 1
 

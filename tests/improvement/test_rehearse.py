@@ -84,6 +84,27 @@ def test_a_skill_that_is_as_good_as_before_stays(improved: list[Progress[Scenari
     assert accepted.targets.nonzero()[:, 0].tolist() == [10, 11, 12, 13, 14]
 
 
+def test_tests_do_not_tell_whether_it_is_worse(improved: list[Progress[Scenarios]]) -> None:
+    good = [True] * 6 + [False] * 4
+    _, told = rehearsed(good, 0.9, tests=GOOD[30:34])
+    assert len(improved) == 1
+    (practised,) = of_kind(told, Practised)
+    assert (practised.in_a_row, practised.wanted) == (0, FRESH)
+
+
+def test_a_part_of_a_fifth_counts(improved: list[Progress[Scenarios]]) -> None:
+    drawn: list[int] = []
+
+    def draw(count: int, generator: Generator) -> Scenarios:
+        drawn.append(count)
+        return GOOD[:count]
+
+    setup = stage_of(without_models(practice=2 * FEWER + 1))
+    rehearse(setup, known(world_of, SKILL, NONE), SKILL, NONE, draw, 1.0)
+    assert drawn == [3]
+    assert not improved
+
+
 def test_what_it_misses_is_handed_on(improved: list[Progress[Scenarios]]) -> None:
     good = [True, False, True, True, False, True, True, True, True, True]
     after, told = rehearsed(good, 0.8, known(world_of, SKILL, GOOD[20:23], BAD[8:9]))

@@ -86,6 +86,7 @@ def test_rounds_are_stages_of_the_run(made: Made) -> None:
     for result in results:
         assert result["practice"] == run.settings.practice == 4
         assert 0 <= result["in_a_row"] <= 4
+        assert result["mean_holds"] is None  # as shares count
     with pytest.raises(
         RunError, match="cannot make a single stage any more; continue with stage 'auto'"
     ):

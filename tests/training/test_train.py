@@ -345,6 +345,31 @@ def test_a_kind_that_comes_again_is_rehearsed(make: Make, run: StoredRun) -> Non
     assert second["asked"]["practice"]["episodes"] == 4 + len(tests)
 
 
+@pytest.mark.parametrize(("about", "share"), [
+    ({}, 0.75),
+    ({"name": "auto-1"}, None),
+    ({"repeats": False}, None),
+])  # fmt: skip
+def test_the_latest_result_tells_how_good_the_skill_was(
+    about: dict[str, Any], share: float | None, run: StoredRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rounds, and worlds that do not repeat themselves, have no rehearsal."""
+    shares: list[float | None] = []
+    usual = {"scenarios": "near", "fresh": {"succeeded": 40, "tried": 40}}
+    later = {"scenarios": "near", "fresh": {"succeeded": 30, "tried": 40}}
+    other = {"scenarios": "left", "fresh": {"succeeded": 1, "tried": 40}}
+    monkeypatch.setattr(StoredRun, "results", [usual, later, other, {"scenarios": "near"}])
+    monkeypatch.setattr(module, "rehearse", lambda *given: shares.append(given[-1]))
+    monkeypatch.setitem(module.METHODS, "compose", lambda *given: shares.append(None))
+    training = training_of(run, [])
+    setup = replace(training.setup("S1"), **{"name": "S1", **about})
+    none = TABLE.draw("near", 0, seeded(0))
+    module._improved(training, setup, "near", Progress(SKILL, none, none, None), none, None)
+    assert shares == [share]
+    module._improved(training, setup, "near", Progress(None, none, none, None), none, None)
+    assert shares == [share, None]
+
+
 @pytest.mark.parametrize("settings", [
     replace(SETTINGS, method="paper"),
     replace(SETTINGS, practice=5),
