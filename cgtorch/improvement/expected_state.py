@@ -175,7 +175,8 @@ def state_from_tensors(
             settled=bool(tensors["settled"]),
             tuning=_from_tensors("tuning", tensors, actions),
             rivals=tuple(each for each in rivals if each is not None),
-            lengthy=bool(tensors["lengthy"]),
+            # Runs of earlier versions have a toll where lengths count.
+            lengthy=bool(tensors["lengthy" if "lengthy" in tensors else "toll"]),
         )
         if "sums" not in tensors:
             return state

@@ -133,6 +133,14 @@ def test_what_is_kept_is_what_is_read(given: bool) -> None:
     assert read(State()) == State()
 
 
+@pytest.mark.parametrize("toll", [0.0, 0.25])
+def test_a_search_of_an_earlier_version_goes_on(toll: float) -> None:
+    tensors = tensors_of_state(State(), None)
+    del tensors["lengthy"]
+    tensors["toll"] = torch.tensor(toll, dtype=torch.float64)
+    assert state_from_tensors(tensors, ACTIONS, LIKE, None).lengthy is (toll > 0)
+
+
 def test_a_tuning_of_an_earlier_version_has_whole_episodes() -> None:
     tensors = tensors_of_state(State(tuning=replace(tuning(), horizon=48.0)), None)
     del tensors["tuning.horizon"]
