@@ -3,15 +3,17 @@
 from dataclasses import replace
 from typing import Any
 
-from lottery import ACTIONS, PaidLottery, tickets
+import torch
+from lottery import ACTIONS, PaidLottery, idle, staking, tickets
 from support import seeded
 from torch import Generator
 
 from cgtorch.evolution import REWARDS, Generation, evolve
 from cgtorch.graphs import ActionSet, Skill
+from cgtorch.improvement.expected_state import Spent, State
 from cgtorch.improvement.mean_search import MeanSearch
 from cgtorch.improvement.pace import BY_STEP, Pace
-from cgtorch.improvement.paired_race import Fresh
+from cgtorch.improvement.paired_race import Fresh, Holder
 from cgtorch.improvement.setup import Budget, Setup
 from cgtorch.improvement.spread import FEWEST
 from cgtorch.improvement.tuning import Tuning, begun
@@ -46,3 +48,17 @@ def tuned(skill: Skill, toll: float = 0.0, **about: Any) -> Tuning:
     assert found is not None
     updates = about.pop("updates", 0)
     return replace(found, distribution=replace(found.distribution, updates=updates), **about)
+
+
+def after_one(state: State, pace: Pace = BY_STEP, actions: ActionSet = ACTIONS) -> State:
+    """The state after one update following a generation whose champion wins nothing."""
+    search = search_of(pace=pace, actions=actions)
+    generation = generation_of(search)
+    champion = replace(generation.champion, graphs=idle().graph)
+    states = search.after(state, replace(generation, champion=champion, number=1), seeded(1))
+    next(states)
+    return next(states)
+
+
+HELD = Holder(staking(1.0)).met(torch.full((50,), 1.8))
+PLAYED = Spent(searched=10**5, rivals=10, episodes=10**5)

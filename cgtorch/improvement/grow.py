@@ -20,8 +20,8 @@ def grow(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Pro
 
     Half of each first population are copies of the last graph. The fitness is 0 if a scenario of W
     fails. A graph that meets eq. 1 in the world is where the next attempt starts. Arguments and
-    result are those of `cgtorch.improvement.improve.improve`; fresh scenarios are
-    drawn only where there is nothing else to solve.
+    result are those of `cgtorch.improvement.improve.improve`; fresh scenarios are drawn only where
+    there is nothing else to solve.
     """
     began = time.perf_counter()
     if not len(tests) + len(progress.missed):  # as in a first round

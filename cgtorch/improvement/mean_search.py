@@ -29,7 +29,7 @@ from cgtorch.improvement.tuning import EVERY, SAMPLES, TRAIL, Tuning, begun, cal
 OFTEN = 5  # generations after which the mean of a holder that stays is known better
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
 TRIED, CERTAIN = 100, 2.0  # values with which it has to hold, by so many standard errors
-PLAIN = 10  # episodes of a graph that does nothing
+UNTUNED = 10  # episodes that tell what a graph is worth before it is tuned
 ENDLESS = 10  # generations in which no episode ends, after which a search is hopeless
 
 
@@ -213,7 +213,7 @@ class MeanSearch:
 
     def _worth_of_transitions(self, graph: Graphs, generator: Generator) -> float:
         """What a transition is worth to a graph; 0 if it is worth nothing."""
-        world = self.fresh.world(PLAIN, generator)
+        world = self.fresh.world(UNTUNED, generator)
         runs = self.fresh.runs(graph, self.setup.actions, world)
         worth = float(what_counts(runs).sum() / runs.transitions.sum())
         return worth if 0 < worth < math.inf else 0.0

@@ -1,34 +1,27 @@
 """The steps of a search for the best mean: what is raced, tuned, played and counted in each."""
 
-import math
 from dataclasses import replace
-from typing import ClassVar
 
 import pytest
 import torch
 from lottery import ACTIONS, Stake, idle, staking
-from lottery_search import generation_of, search_of, tuned
+from lottery_search import HELD, PLAYED, after_one, generation_of, search_of, tuned
 from support import same, seeded
-from torch import Generator
 
 from cgtorch.evolution import chance_of_success, evolve
-from cgtorch.graphs import ActionSet, BranchingNN, Graphs, widened
-from cgtorch.ground.environment import Environment
+from cgtorch.graphs import ActionSet, BranchingNN, widened
 from cgtorch.improvement.expected_state import SHARE, Spent, State
 from cgtorch.improvement.mean_search import (
     CERTAIN,
     LARGEST,
     OFTEN,
-    PLAIN,
     TRIED,
-    MeanSearch,
 )
-from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP, Pace
-from cgtorch.improvement.paired_race import Fresh, Holder
+from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
+from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES, TRAIL, Tuning
-from cgtorch.simulation import Rollouts
+from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES
 
 
 def test_a_generation_is_counted_and_its_champion_is_the_first_holder() -> None:
@@ -223,20 +216,6 @@ def test_the_target_is_reached_by_a_mean_that_is_known_well() -> None:
         assert (len(list(other.after(*about))) == 1) is wanted
 
 
-def after_one(state: State, pace: Pace = BY_STEP, actions: ActionSet = ACTIONS) -> State:
-    """The state after one update following a generation whose champion wins nothing."""
-    search = search_of(pace=pace, actions=actions)
-    generation = generation_of(search)
-    champion = replace(generation.champion, graphs=idle().graph)
-    states = search.after(state, replace(generation, champion=champion, number=1), seeded(1))
-    next(states)
-    return next(states)
-
-
-HELD = Holder(staking(1.0)).met(torch.full((50,), 1.8))
-PLAYED = Spent(searched=10**5, rivals=10, episodes=10**5)
-
-
 def test_a_mean_that_loses_race_after_race_has_more_scenarios_or_makes_room() -> None:
     worse = tuned(staking(-1.0), updates=EVERY - 1, lost=PATIENCE - 1, mark=1.0)
     rival = tuned(staking(0.0), updates=1)
@@ -272,68 +251,6 @@ def test_a_mean_does_not_race_before_races_have_their_share_again(held: bool) ->
     assert (after.distribution.updates, after.lost) == (EVERY, 0)
 
 
-def test_a_mean_holds_without_a_race_if_the_latest_means_were_better() -> None:
-    known, unknown = torch.full((50,), 0.2), torch.tensor([-50.0, 50.0] * 3)
-    rival = tuned(staking(0.0), updates=1)
-    for values, worth, seen, lost in (
-        (known, 30.0, 3, 0),
-        (known, 30.0, 2, 2),  # as the mean of this update is the third one
-        (known, -30.0, 3, 3),
-        (unknown, 30.0, 3, 3),  # as the holder may be as good
-        (torch.full((TRAIL - 1,), 0.2), 30.0, 3, 2),
-        (torch.full((TRAIL,), 0.2), 30.0, 3, 0),
-        (torch.full((TRAIL,), 0.2), -30.0, 3, 3),
-    ):
-        holds = not lost
-        holder = Holder(staking(-1.0)).met(values)
-        one = tuned(staking(1.0), updates=EVERY - 1, lost=2, trail=(worth,) * seen)
-        spent = replace(PLAYED, raced=10**6)
-        state = after_one(State(holder, one, (rival,), spent=spent))
-        assert state.tuning is not None
-        assert state.holder is not None
-        assert (state.holder.skill is not holder.skill) is holds
-        assert state.tuning.lost == lost
-        assert len(state.tuning.trail) == seen + 1
-        if holds:
-            assert same(state.holder.skill.graph, state.tuning.mean(ACTIONS))
-
-
-@pytest.mark.parametrize(("worth", "holds"), [(30.0, True), (-30.0, False)])
-def test_a_rivals_mean_holds_without_a_race_in_the_same_way(worth: float, holds: bool) -> None:
-    holder = Holder(staking(-1.0)).met(torch.full((50,), 0.2))
-    rival = tuned(staking(1.0), updates=EVERY - 1, lost=2, alone=True, trail=(worth,) * 3)
-    other = tuned(staking(0.0), updates=EVERY)
-    spent = replace(PLAYED, raced=10**6)
-    state = after_one(State(holder, None, (rival, other), settled=True, spent=spent))
-    assert (state.holder is holder) is not holds
-    if holds:
-        assert state.holder is not None
-        assert state.tuning is not None
-        assert same(state.holder.skill.graph, state.tuning.mean(ACTIONS))
-        assert (state.tuning.lost, state.tuning.trail[:3]) == (0, rival.trail)
-        assert state.rivals == (other,)
-    else:
-        assert state.tuning is None
-        assert [each.lost for each in state.rivals] == [0, 3]
-
-
-def test_means_are_tried_where_races_are_due_and_steps_are_what_costs() -> None:
-    for updates, pace, tried in (
-        (EVERY - 1, BY_STEP, 1),
-        (EVERY - 2, BY_STEP, 0),
-        (EVERY - 1, BY_ROLLOUT, 0),
-    ):
-        one = tuned(staking(1.0), updates=updates)
-        state = after_one(State(HELD, one, (), spent=PLAYED), pace)
-        assert state.tuning is not None
-        assert len(state.tuning.trail) == tried
-        cost = 2 * (SAMPLES + tried)  # of two scenarios
-        assert state.spent.tuned == cost
-    full = tuned(staking(1.0), trail=(1.0, 2.0, 3.0, 4.0))
-    assert full.seen(5.0).trail == (2.0, 3.0, 4.0, 5.0)
-    assert full.moved(staking(0.5).graph, ACTIONS).trail == ()  # which are of other means
-
-
 def test_a_rival_whose_mean_wins_is_tuned_as_the_best() -> None:
     holder = Holder(staking(-1.0)).met(torch.full((50,), 0.2))
     rival = tuned(staking(1.0), updates=EVERY - 1)
@@ -361,72 +278,6 @@ def test_a_rival_that_keeps_losing_ends_unless_it_improves(mark: float, left: in
     fresh = replace(rival, lost=0)
     state = after_one(State(HELD, None, (fresh,), settled=True, spent=PLAYED))
     assert [each.lost for each in state.rivals] == [1]
-
-
-class Lasting(Fresh):
-    """Episodes of many lengths, which earn the more for a transition the larger a parameter is."""
-
-    sign = 1.0
-
-    def runs(self, graphs: Graphs, actions: ActionSet, world: Environment) -> Rollouts:
-        found = super().runs(graphs, actions, world)
-        shape = found.transitions.shape
-        lengths = found.transitions + torch.arange(shape.numel()).view(shape)
-        earned = 1 + graphs.parameters[:, 0, :1] / 10
-        return replace(found, transitions=lengths, returns=self.sign * lengths * earned)
-
-
-def test_a_toll_is_what_a_transition_is_worth_before_tuning() -> None:
-    search = MeanSearch(search_of().setup, Lasting(search_of().fresh.world, 4))
-    one = tuned(staking(0.5))
-    moved = replace(one, distribution=replace(one.distribution, mean=one.distribution.mean + 1))
-    state = State(HELD, moved, (tuned(staking(0.1)),), spent=PLAYED)
-    after = search._tuned(state, (moved,), seeded(5))
-    assert after.lengthy
-    assert [each.toll for each in after.rivals] == [0.0, pytest.approx(1.05)]
-    for sign, worth in ((1.0, 1.05), (-1.0, 0.0), (math.inf, 0.0), (-math.inf, 0.0), (0.0, 0.0)):
-        search.fresh.sign = sign  # type: ignore[attr-defined]
-        played = search.fresh.episodes
-        assert search._worth_of_transitions(one.graph, seeded(6)) == pytest.approx(worth)
-        assert search.fresh.episodes - played == PLAIN
-
-
-class Known(MeanSearch):
-    """A search where a transition is worth so much."""
-
-    worth: ClassVar[float] = 0.5
-
-    def _worth_of_transitions(self, graph: Graphs, generator: Generator) -> float:
-        return self.worth
-
-
-def test_the_same_graph_is_tuned_under_a_toll_where_lengths_count(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def after_update(one: Tuning, *rivals: Tuning, lengthy: bool = True) -> tuple[Tuning, ...]:
-        state = State(HELD, one, rivals, lengthy=lengthy, spent=PLAYED)
-        return search._tuned(state, (one,), seeded(5)).rivals
-
-    search = Known(*vars(search_of()).values())
-    one, rival = tuned(staking(0.5)), tuned(staking(0.1))
-    first = after_update(one, rival)
-    assert [each.toll for each in first] == [0.0, 0.5]
-    assert same(first[1].graph, one.graph)
-    assert [each.alone for each in first] == [False, True]
-    assert len(after_update(one, rival, lengthy=False)) == 1
-    for updates, rivals in ((EVERY - 1, 2), (EVERY, 1)):
-        later = replace(one, distribution=replace(one.distribution, updates=updates))
-        assert len(after_update(later, rival)) == rivals
-    already = tuned(staking(0.1), 0.75)
-    assert [each.toll for each in after_update(one, already)] == [0.75]
-    # One with a toll gets a rival that begins anew where it stalls.
-    has = tuned(staking(0.5), 0.75)
-    assert len(after_update(has, rival)) == 1
-    stalls = tuned(staking(-5.0), 0.75, updates=EVERY - 1, lost=PATIENCE - 1, mark=9.0)
-    assert [each.toll for each in after_update(stalls, rival)] == [0.0, 0.5]
-    assert len(after_update(replace(stalls, mark=-99.0), rival)) == 1  # as samples become better
-    monkeypatch.setattr(Known, "worth", 0.0)
-    assert len(after_update(one, rival)) == 1
 
 
 def test_where_lanes_are_cheap_rivals_are_tuned_together_on_many_scenarios() -> None:

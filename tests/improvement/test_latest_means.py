@@ -1,0 +1,76 @@
+"""The latest means of a tuning decide without a race, where steps are what costs."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from lottery import ACTIONS, staking
+from lottery_search import HELD, PLAYED, after_one, tuned
+from support import same
+
+from cgtorch.improvement.expected_state import State
+from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
+from cgtorch.improvement.paired_race import Holder
+from cgtorch.improvement.tuning import EVERY, SAMPLES, TRAIL
+
+
+def test_a_mean_holds_without_a_race_if_the_latest_means_were_better() -> None:
+    known, unknown = torch.full((50,), 0.2), torch.tensor([-50.0, 50.0] * 3)
+    rival = tuned(staking(0.0), updates=1)
+    for values, worth, seen, lost in (
+        (known, 30.0, 3, 0),
+        (known, 30.0, 2, 2),  # as the mean of this update is the third one
+        (known, -30.0, 3, 3),
+        (unknown, 30.0, 3, 3),  # as the holder may be as good
+        (torch.full((TRAIL - 1,), 0.2), 30.0, 3, 2),
+        (torch.full((TRAIL,), 0.2), 30.0, 3, 0),
+        (torch.full((TRAIL,), 0.2), -30.0, 3, 3),
+    ):
+        holds = not lost
+        holder = Holder(staking(-1.0)).met(values)
+        one = tuned(staking(1.0), updates=EVERY - 1, lost=2, trail=(worth,) * seen)
+        spent = replace(PLAYED, raced=10**6)
+        state = after_one(State(holder, one, (rival,), spent=spent))
+        assert state.tuning is not None
+        assert state.holder is not None
+        assert (state.holder.skill is not holder.skill) is holds
+        assert state.tuning.lost == lost
+        assert len(state.tuning.trail) == seen + 1
+        if holds:
+            assert same(state.holder.skill.graph, state.tuning.mean(ACTIONS))
+
+
+@pytest.mark.parametrize(("worth", "holds"), [(30.0, True), (-30.0, False)])
+def test_a_rivals_mean_holds_without_a_race_in_the_same_way(worth: float, holds: bool) -> None:
+    holder = Holder(staking(-1.0)).met(torch.full((50,), 0.2))
+    rival = tuned(staking(1.0), updates=EVERY - 1, lost=2, alone=True, trail=(worth,) * 3)
+    other = tuned(staking(0.0), updates=EVERY)
+    spent = replace(PLAYED, raced=10**6)
+    state = after_one(State(holder, None, (rival, other), settled=True, spent=spent))
+    assert (state.holder is holder) is not holds
+    if holds:
+        assert state.holder is not None
+        assert state.tuning is not None
+        assert same(state.holder.skill.graph, state.tuning.mean(ACTIONS))
+        assert (state.tuning.lost, state.tuning.trail[:3]) == (0, rival.trail)
+        assert state.rivals == (other,)
+    else:
+        assert state.tuning is None
+        assert [each.lost for each in state.rivals] == [0, 3]
+
+
+def test_means_are_tried_where_races_are_due_and_steps_are_what_costs() -> None:
+    for updates, pace, tried in (
+        (EVERY - 1, BY_STEP, 1),
+        (EVERY - 2, BY_STEP, 0),
+        (EVERY - 1, BY_ROLLOUT, 0),
+    ):
+        one = tuned(staking(1.0), updates=updates)
+        state = after_one(State(HELD, one, (), spent=PLAYED), pace)
+        assert state.tuning is not None
+        assert len(state.tuning.trail) == tried
+        cost = 2 * (SAMPLES + tried)  # of two scenarios
+        assert state.spent.tuned == cost
+    full = tuned(staking(1.0), trail=(1.0, 2.0, 3.0, 4.0))
+    assert full.seen(5.0).trail == (2.0, 3.0, 4.0, 5.0)
+    assert full.moved(staking(0.5).graph, ACTIONS).trail == ()  # which are of other means
