@@ -60,7 +60,7 @@ class Simulators:
 
 
 class ArmWorld(World):
-    """Episodes of an arm.
+    """Episodes of an arm, which end with success or with their time, wherever a skill is then.
 
     Success is graded: a state in which the task is not solved has a value below one half, which
     grows with how close the episode came to success.
@@ -113,6 +113,10 @@ class ArmWorld(World):
         """See `World.succeeded`."""
         return state[:, SOLVED] > 0
 
+    def over(self, lanes: Lanes) -> Tensor:
+        """See `Episodic.over`."""
+        return self.succeeded(lanes.state) | (lanes.state[:, STEPS] >= self._horizon)
+
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
         """See `Environment.success`; a world's value is graded here."""
         state = lanes.state
@@ -122,12 +126,17 @@ class ArmWorld(World):
     def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
         """See `World.perceived`."""
         seen = state[:, SEEN : SEEN + len(self._arm.names) - 1 - self._num_ids]
-        some = next(iter(self.scenarios.task.tolist()), 0)  # all have the same horizon
-        percept = self._arm.perceived(seen, state[:, STEPS] / self._simulators[some].horizon)
+        percept = self._arm.perceived(seen, state[:, STEPS] / self._horizon)
         if not self._num_ids:
             return percept
         number = one_hot(self.scenarios.task[scenario], self._num_ids)
         return torch.cat([percept, number.to(percept)], 1)
+
+    @property
+    def _horizon(self) -> int:
+        """Low-level steps of an episode of any of the tasks."""
+        some = next(iter(self.scenarios.task.tolist()), 0)
+        return self._simulators[some].horizon
 
     def _of(self, scenario: Tensor) -> list[tuple[Simulator, int]]:
         tasks, seeds = self.scenarios.task[scenario].tolist(), self.scenarios.seed[scenario]

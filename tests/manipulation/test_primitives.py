@@ -5,7 +5,7 @@ import torch
 from arms import chain, fetch, meta_world, starts
 from torch import Tensor
 
-from cgtorch.graphs import check_action
+from cgtorch.graphs import Graphs, Skill, SubSkill, check_action
 from cgtorch.manipulation.domain import Manipulation
 from cgtorch.manipulation.primitives import OFFSET, WAY
 from cgtorch.manipulation.simulator import SEEN, STEPS
@@ -100,6 +100,23 @@ def test_a_skill_ends_with_success() -> None:
     runs = rollout(chain(domain, ("ReachGoal", (0.0,) * 3)), domain.actions(), world)
     assert runs.succeeded.all()
     assert (runs.state[..., STEPS] < 60).all()
+
+
+@pytest.mark.parametrize(("offset", "solved"), [(0.0, True), (8.0, False)])
+def test_an_episode_ends_wherever_a_skill_is(offset: float, solved: bool) -> None:
+    """Even if what follows a skill within a skill would go on for ever."""
+    domain = meta_world("reach-v3")
+    world = domain.world(starts(domain, 5, 6))
+    reach = chain(domain, ("ReachGoal", (offset, 0.0, 0.0)))
+    inner = Skill("inner", reach, domain.actions(), 30)
+    actions = domain.actions().extended(["inner"], [SubSkill(inner)])
+    circle = torch.tensor([[[0, 0, -1]]])
+    one, nothing = torch.tensor([[len(actions) - 1]]), torch.zeros(1, 1, 0)
+    graph = Graphs(one, circle, nothing, torch.tensor([0]))
+    runs = rollout(graph, actions, world, max_transitions=50)
+    assert runs.succeeded.tolist() == [[solved] * 2]
+    assert not runs.timed_out.any()
+    assert ((runs.state[..., STEPS] == 200) | solved).all()
 
 
 def test_offsets_of_new_nodes_are_small_but_vectors_are_not() -> None:
