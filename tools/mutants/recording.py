@@ -5,6 +5,7 @@ import json
 import os
 import resource
 import signal
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -58,6 +59,23 @@ def recorded(shop: Workshop, file: str, cache: Path) -> list[Recording]:
         )
         for r in found.get("tests", [])
     ]
+
+
+def make_once(shop: Workshop) -> None:
+    """Train the run that many tests share, which none of them could do in time."""
+    if (shop.root / "tests" / "trained.py").exists():
+        code = shop.forked(lambda: _trained(shop), 3600)
+        if code != 0:
+            raise RuntimeError(f"the tests' run cannot be trained: {shop.log.read_text()[-2000:]}")
+
+
+def _trained(shop: Workshop) -> int:
+    sys.path.insert(0, str(shop.root / "tests"))
+    from made_once import made_once
+    from trained import make_run
+
+    made_once(shop.made / "trained", make_run)
+    return 0
 
 
 def _hash(path: Path) -> str:
