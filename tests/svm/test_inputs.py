@@ -171,3 +171,21 @@ def test_state_dict_is_complete():
     copy.load_state_dict(model.state_dict())
     assert torch.equal(copy(torch.tensor(X)), model(torch.tensor(X)))
     assert copy.support.tolist() == model.support.tolist()
+
+
+def test_buffers_of_another_number_of_axes_or_none_are_no_state():
+    machine = SVR().fit(np.arange(12.0).reshape(6, 2), np.arange(6.0))
+    state = machine.state_dict()
+    for name, value in (("bias", state["bias"][None]), ("centres", state["centres"][0])):
+        with pytest.raises(RuntimeError, match=f"size mismatch for {name}"):
+            SVR().load_state_dict({**state, name: value})
+    with pytest.raises(RuntimeError, match="Missing key"):
+        SVR().load_state_dict({name: state[name] for name in state if name != "bias"})
+    SVR().load_state_dict(state)
+
+
+def test_what_is_not_given_is_as_in_scikit_learn():
+    for ours, theirs in ((SVC(), sklearn.svm.SVC()), (SVR(), sklearn.svm.SVR())):
+        assert ours.C == theirs.C
+        assert ours.gamma == theirs.gamma
+    assert SVR().epsilon == sklearn.svm.SVR().epsilon

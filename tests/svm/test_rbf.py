@@ -11,7 +11,7 @@ from dual_problems import rows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cgtorch.ground.errors import DataError
+from cgtorch.ground.errors import DataError, SettingsError
 from cgtorch.svm import rbf as module
 from cgtorch.svm.rbf import Gram, chunk_rows, predict_rbf, rbf
 
@@ -156,3 +156,36 @@ def test_kernel_matrices_are_those_of_torch(n):
 def test_kernels_that_are_not_finite_are_refused():
     with pytest.raises(DataError, match="non-finite"):
         _ = Gram(torch.tensor([[1e200], [-1e200], [1e300]]).double(), 1.0).single
+
+
+@pytest.mark.parametrize("dtype", FLOATS)
+def test_distances_are_sums_of_products_unless_those_would_cost_half_of_the_digits(dtype):
+    """Of centres on a circle, the largest square is that of its radius."""
+    angle = torch.arange(8) * torch.pi / 4
+    circle = torch.stack([angle.cos(), angle.sin()], 1).to(dtype) + 1000
+    most = torch.finfo(dtype).eps ** -0.25  # the radius whose square takes half of the digits
+    for radius, far in ((0.9 * most, False), (1.1 * most, True)):
+        centres = (circle - 1000) * radius
+        assert module._far(centres, 1.0) == far
+        assert module._far(centres / 3, torch.tensor(9.0)) == far
+    assert not module._far(circle, 1.0)  # an offset takes none
+    assert not module._far(torch.ones(2, 1, device="meta"), 1.0)  # nobody waits for a GPU
+
+
+def test_the_width_is_that_of_scikit_learn_or_as_given():
+    x = rows(2, 40)
+    assert Gram(x, "scale").gamma == pytest.approx(1 / (5 * float(x.numpy().var())))
+    assert Gram(torch.ones(3, 2).double(), "scale").gamma == 1
+    assert Gram(x, 0.25).gamma == 0.25
+    for wrong in (0.0, -1.0, torch.inf, torch.nan, "wide", None):
+        with pytest.raises(SettingsError, match='choose "scale" or a positive number'):
+            Gram(x, wrong)
+
+
+@pytest.mark.parametrize(
+    ("rows", "centres", "threads"),
+    [(1, 1, 1), (2**10, 2**10, 2), (2**10, 2**9, 1), (2**11, 2**10, 3), (2**20, 2**9, 3)],
+)
+def test_threads_are_as_many_as_pay_off(rows, centres, threads, monkeypatch):
+    monkeypatch.setattr(module, "threads", lambda: 3)
+    assert module.threads_for(rows, centres) == threads
