@@ -1,6 +1,7 @@
 """Which lines of the package each test runs, and how long it takes."""
 
 import hashlib
+import importlib
 import json
 import os
 import resource
@@ -8,6 +9,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -18,6 +20,8 @@ from mutants.workshop import Workshop
 
 LONGEST = 3.0
 """Seconds of a CPU after which a test is ended, and is not among the closest."""
+MADE = {"trained": "make_run", "told_stage": "make_stage"}
+"""Modules of tests and functions that make what is shared, which has the module's name."""
 WAITING = 10
 """Seconds that a test may wait for each second that it may calculate."""
 
@@ -62,19 +66,19 @@ def recorded(shop: Workshop, file: str, cache: Path) -> list[Recording]:
 
 
 def make_once(shop: Workshop) -> None:
-    """Train the run that many tests share, which none of them could do in time."""
-    if (shop.root / "tests" / "trained.py").exists():
-        code = shop.forked(lambda: _trained(shop), 3600)
-        if code != 0:
-            raise RuntimeError(f"the tests' run cannot be trained: {shop.log.read_text()[-2000:]}")
+    """Make what many tests share and none of them could make in time."""
+    for module in MADE:
+        if (shop.root / "tests" / f"{module}.py").exists():
+            code = shop.forked(partial(_made, shop, module), 3600)
+            if code != 0:
+                raise RuntimeError(f"{module} cannot be made: {shop.log.read_text()[-2000:]}")
 
 
-def _trained(shop: Workshop) -> int:
+def _made(shop: Workshop, module: str) -> int:
     sys.path.insert(0, str(shop.root / "tests"))
     from made_once import made_once
-    from trained import make_run
 
-    made_once(shop.made / "trained", make_run)
+    made_once(shop.made / module, getattr(importlib.import_module(module), MADE[module]))
     return 0
 
 
