@@ -144,6 +144,8 @@ def gather(folder: Path) -> None:
                 found = ranks.part_of_holder(own[i] if i in mine else None, i, parts)
                 assert found is not None
                 assert torch.equal(found, own[i])
+            assert ranks.all_reduce(1, group) == group.size
+        assert ranks.all_reduce(3) == 3 * count
         assert ranks.broadcast(ranks.first())
         assert ranks.broadcast(torch.tensor([int(ranks.first())])).tolist() == [1]
         time.sleep(0 if ranks.first() else 0.1)
