@@ -35,6 +35,10 @@ def test_a_skill_file_has_no_models_and_no_other_measures(shell: Shell, trained:
         "predicted": None,
         "w_other_noise": None,
     }
+    words = trained.folder / "S0" / "skill.json", "--count", 3, "--seed", 2
+    said = shell.does(EVALUATE, *words).out
+    assert said.startswith(f"S0 on perimeter: {found['succeeded']} / 3 succeeded")
+    assert len(said.splitlines()) == 1
 
 
 @pytest.mark.parametrize(("place", "name"), [("", "S1"), ("S0", "S0")])
