@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cgtorch.ground.errors import DataError, SettingsError
+from cgtorch.native import available, constants
 from cgtorch.svm import rbf as module
 from cgtorch.svm.rbf import Gram, chunk_rows, predict_rbf, rbf
 
@@ -189,3 +190,33 @@ def test_the_width_is_that_of_scikit_learn_or_as_given():
 def test_threads_are_as_many_as_pay_off(rows, centres, threads, monkeypatch):
     monkeypatch.setattr(module, "threads", lambda: 3)
     assert module.threads_for(rows, centres) == threads
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e12])
+def test_an_offset_takes_no_digits_from_single_precision(offset):
+    x = rows(5, 17) + offset
+    gram = Gram(x, 0.3)
+    torch.testing.assert_close(gram.single[:, :17].double(), gram.matrix, atol=1e-6, rtol=0)
+
+
+@pytest.mark.skipif(not available(), reason="there is no C compiler")
+@pytest.mark.parametrize("dtype", FLOATS)
+def test_machines_up_to_a_size_are_compiled(dtype):
+    most = constants("machine_limits", dtype)
+    for features, outputs, centres, there in (
+        (most["MOST_FEATURES"], 1, 3, True),
+        (most["MOST_FEATURES"] + 1, 1, 3, False),
+        (2, most["MOST_OUTPUTS"], 3, True),
+        (2, most["MOST_OUTPUTS"] + 1, 3, False),
+        (2, 1, 0, False),
+        (0, 1, 3, False),
+    ):
+        _, machine = problem(4, max(features, 1), centres, outputs, dtype)
+        machine = (machine[0][:, :features], *machine[1:])
+        assert (module.machine_structure(*machine) is not None) == there
+    x, machine = problem(50, 4, 33, 3, dtype)
+    values, nearest = module.machine_values(x, *machine)
+    wanted = predict_rbf(x, *machine)
+    tolerance = 3e-4 if dtype == FLOATS[0] else 1e-10
+    torch.testing.assert_close(values, wanted[0], atol=tolerance, rtol=tolerance)
+    torch.testing.assert_close(nearest, wanted[1], atol=tolerance, rtol=tolerance)
