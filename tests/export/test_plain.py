@@ -3,7 +3,7 @@
 import logging
 import warnings
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
@@ -13,14 +13,21 @@ from hypothesis import strategies as st
 from support import model, random_skill, recurrent_actions, seeded, stochastic_actions
 from walking import chain
 
-from cgtorch.export import SkillStep, plain
+from cgtorch.export import (
+    SkillStep,
+    plain,
+    to_dot,
+    to_mermaid,
+    to_module,
+    to_state_machine,
+)
 from cgtorch.export.modules import _silence
 from cgtorch.export.state_machine import memory_places, plain_arguments
 from cgtorch.export.step import REQUESTS
 from cgtorch.export.stepper import Request, Stepper
 from cgtorch.graphs import Action, BranchingNN, ContinuousNN, DelayNN, LinearNN, RecurrentNN, Skill
 from cgtorch.ground.environment import Environment, Lanes, start_lanes
-from cgtorch.ground.errors import ActionError, DataError
+from cgtorch.ground.errors import ActionError, DataError, SettingsError
 from cgtorch.tabletop.actions import paper_actions
 
 NETWORKS: list[Action] = [
@@ -321,3 +328,39 @@ def test_torch_is_silent_for_a_while() -> None:
         talk()
     assert not told
     assert logging.root.manager.disable == before
+
+
+class Blind(Action):
+    """Notes what it gets of the world."""
+
+    met: ClassVar[list[Any]] = []
+
+    def forward(self, lanes: Lanes, parameters: Any, environment: Environment) -> Any:
+        self.met.append((tuple(lanes.state.shape), lanes.scenario.tolist(), len(lanes)))
+        return lanes, torch.zeros(len(lanes), dtype=torch.long)
+
+
+def test_actions_of_ones_own_see_no_state_and_one_row() -> None:
+    actions = paper_actions().extended(["Blind"], [Blind()])
+    skill = Skill("S", chain(actions, "Blind", "Detect"), actions)
+    Blind.met.clear()
+    assert Stepper(skill).act([0.0] * 7) == Request("perceive", "Detect")
+    step = SkillStep(skill, 7)
+    step(*step.first())
+    assert len(Blind.met) == 3  # one of them where the step is prepared
+    assert Blind.met == [((1, 0), [0], 1)] * 3
+
+
+def test_an_older_torch_is_told_to_be_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    skill = Skill("S", chain(paper_actions(), "Detect"), paper_actions())
+    monkeypatch.delattr(torch, "while_loop")
+    with pytest.raises(SettingsError, match=r"torch .* cannot export loops; install a newer one"):
+        to_module(skill, 7)
+
+
+def test_texts_end_with_a_line_break() -> None:
+    skill = Skill("S", chain(paper_actions(), "Detect"), paper_actions())
+    for write in (to_state_machine, to_dot, to_mermaid):
+        data = write(skill)
+        assert data.endswith(b"\n")
+        assert not data.endswith(b"\n\n")
