@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 import torch
 from arms import fetch, meta_world
+from support import seeded
 from torch import Tensor
 
 from cgtorch.ground.environment import Lanes
@@ -203,3 +204,11 @@ def test_every_setting_says_what_it_is_and_when_to_change_it(kind: Any) -> None:
     for f in fields(kind):
         assert f.metadata["help"].endswith("."), f.name
         assert f.metadata["when"].endswith("."), f.name
+
+
+def test_parameters_of_new_nodes_follow_from_their_generator() -> None:
+    for action in primitives(ARM).values():
+        one, same, other = (action.initial_parameters(5, seeded(seed)) for seed in (1, 1, 2))
+        assert one.shape == (5, action.num_parameters)
+        assert torch.equal(one, same)
+        assert not action.num_parameters or not torch.equal(one, other)
