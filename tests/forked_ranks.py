@@ -10,11 +10,14 @@ import multiprocessing
 import os
 import socket
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import click
 import torch
@@ -37,34 +40,65 @@ BUDGET = Budget(generations=9, patience=99)
 
 def on_ranks(count: int, program: Callable[..., None], *arguments: Any, output: Path) -> str:
     """What so many ranks print, which all call a function that can be imported; kept in a file."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["forked_ranks", *NEEDED])
+    environment = _environment(count)
+    started = [_begun(environment, i, output, program, arguments) for i in range(count)]
+    text = _ended(started, output)
+    assert [rank.exitcode for rank in started] == [0] * count, text
+    return text
+
+
+def as_first_rank(count: int, program: Callable[..., None], *arguments: Any, output: Path) -> None:
+    """Call a function as the first of so many ranks, whose others print into a file."""
+    environment = _environment(count)
+    started = [_begun(environment, i, output, program, arguments) for i in range(1, count)]
+    try:
+        with mock.patch.dict(os.environ, _as_text(environment | {"RANK": 0, "LOCAL_RANK": 0})):
+            program(*arguments)
+    finally:
+        text = _ended(started, output)
+    assert [rank.exitcode for rank in started] == [0] * (count - 1), text
+
+
+def _environment(count: int) -> dict[str, Any]:
+    """What `torchrun` tells so many ranks."""
     with socket.socket() as one:
         one.bind(("localhost", 0))
         port = one.getsockname()[1]
     where = {"MASTER_ADDR": "localhost", "MASTER_PORT": port, "TORCHELASTIC_RUN_ID": "test"}
-    sizes = {"WORLD_SIZE": count, "LOCAL_WORLD_SIZE": count, "OMP_NUM_THREADS": 1}
+    return where | {"WORLD_SIZE": count, "LOCAL_WORLD_SIZE": count, "OMP_NUM_THREADS": 1}
+
+
+def _as_text(environment: dict[str, Any]) -> dict[str, str]:
+    return {name: str(value) for name, value in environment.items()}
+
+
+def _begun(
+    environment: dict[str, Any], rank: int, output: Path, program: Callable[..., None],
+    arguments: Any,
+) -> BaseProcess:  # fmt: skip
+    """A rank that has been started."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["forked_ranks", *NEEDED])
     output.touch()
-    started = []
-    for i in range(count):
-        environment = where | sizes | {"RANK": i, "LOCAL_RANK": i}
-        given = environment, output, program, arguments
-        started.append(context.Process(target=_rank, args=given))
-    for rank in started:
-        rank.start()
+    own = environment | {"RANK": rank, "LOCAL_RANK": rank}
+    started = context.Process(target=_rank, args=(own, output, program, arguments))
+    started.start()
+    return started
+
+
+def _ended(started: list[BaseProcess], output: Path) -> str:
+    """What ranks have printed, after they have ended or lost patience."""
     for rank in started:
         rank.join(PATIENCE)
         rank.kill()
-    text = output.read_text()
-    assert [rank.exitcode for rank in started] == [0] * count, text
-    return text
+    return output.read_text()
 
 
 def _rank(
     environment: dict[str, Any], output: Path, program: Callable[..., None], arguments: Any
 ) -> None:
     """A rank, whose standard output and errors are added to a file."""
-    os.environ.update({name: str(value) for name, value in environment.items()})
+    os.environ.update(_as_text(environment))
     torch.set_num_threads(1)
     file = os.open(output, os.O_WRONLY | os.O_APPEND)
     os.dup2(file, 1)
@@ -80,8 +114,8 @@ def train(words: list[str]) -> None:
     command.main(words, standalone_mode=False)
 
 
-def gather() -> None:
-    """Everything that ranks exchange."""
+def gather(folder: Path) -> None:
+    """Everything that ranks exchange; each of them makes a file in an empty folder."""
     with ranks.together():
         count = ranks.count()
         for rows in range(13):
@@ -110,9 +144,14 @@ def gather() -> None:
                 found = ranks.part_of_holder(own[i] if i in mine else None, i, parts)
                 assert found is not None
                 assert torch.equal(found, own[i])
+            assert ranks.all_reduce(1, group) == group.size
+        assert ranks.all_reduce(3) == 3 * count
         assert ranks.broadcast(ranks.first())
         assert ranks.broadcast(torch.tensor([int(ranks.first())])).tolist() == [1]
+        time.sleep(0 if ranks.first() else 0.1)
+        (folder / f"{os.environ.get('RANK', 0)}.came").touch()
         ranks.wait()
+        assert len(list(folder.glob("*.came"))) == count
         if ranks.first():
             click.echo(f"{count} gathered all")
 

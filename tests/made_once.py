@@ -1,15 +1,21 @@
 """What takes long to make is made by one of the processes that run tests, and read by all."""
 
 import fcntl
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+KEPT = "CGTORCH_MADE_ONCE"
+"""The variable of the environment that names a folder with what was made before, if any was."""
+
 
 def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of this run of tests; pytest-xdist gives each process one of its own in it."""
+    if KEPT in os.environ:
+        return Path(os.environ[KEPT])
     base = tmp_path_factory.getbasetemp()
     return base.parent if base.name.startswith("popen-") else base
 

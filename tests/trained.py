@@ -49,7 +49,7 @@ class Trained:
 
 def trained_run(tmp_path_factory: pytest.TempPathFactory) -> Trained:
     """The run, in the folder that all processes share."""
-    return _trained(made_once(shared_folder(tmp_path_factory) / "trained", _train))
+    return _trained(made_once(shared_folder(tmp_path_factory) / "trained", make_run))
 
 
 @cache
@@ -59,7 +59,8 @@ def _trained(folder: Path) -> Trained:
     return Trained(folder / "run", events, results)
 
 
-def _train(folder: Path) -> None:
+def make_run(folder: Path) -> None:
+    """Train the run, and keep what was told; `tools/mutate.py` does so before it changes lines."""
     folder.mkdir()
     events: list[Event] = []
     run = create_run(folder / "run", SMALL)

@@ -24,7 +24,7 @@ os.environ["OMP_NUM_THREADS"] = "1"  # threads do not survive a fork
 import click
 from mutants.closest import Recorded, closest
 from mutants.drawn import Mutant, drawn, rooms
-from mutants.recording import recorded
+from mutants.recording import make_once, recorded
 from mutants.trials import Trial, tried
 from mutants.workshop import Workshop
 
@@ -73,7 +73,7 @@ def command(
     tallies = []
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # and remove the copy
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        shop = Workshop(ROOT, Path(folder))
+        make_once(shop := Workshop(ROOT, Path(folder)))
         for room in chosen or rooms(ROOT / "cgtorch"):
             tallies.append(tally := Tally(room, seed))
             tried_in(shop, tally, count, seconds, known, cache)

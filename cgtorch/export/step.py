@@ -240,7 +240,7 @@ class SkillStep(nn.Module):
         node, level, step = place[:, NODE], place[:, LEVEL], place[:, STEP] + 1
         caller, left = place[:, STACK:].split(self.depth, 1)
         nothing = torch.zeros_like(node)
-        frames = Frames(node, level, caller.clone(), left.clone(), nothing - 1, nothing)
+        frames = Frames(node, level, caller.clone(), left.clone(), nothing, nothing)
         frames, end, _ = advance(self._program, frames, outcome, torch.ones_like(node).bool())
         late = torch.where(step >= self.max_steps, TIMEOUT, RUNNING)
         followed = _place(torch.where(end < 0, end, late), step, frames)

@@ -129,7 +129,7 @@ def quantiles() -> Tensor:
     of a step. A probability that is rounded up to 2^40 has the last row.
     """
     place = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
-    step = torch.arange(STEPS, dtype=torch.float64)[:, None]
+    step = torch.arange(STEPS)[:, None]
     octave = torch.arange(OCTAVES, dtype=torch.float64)[:, None, None] - (OCTAVES + 1)
     at = torch.special.ndtri(torch.exp2(octave) * (1 + (step + place) / STEPS))
     first, middle, last = at.flatten(0, 1).unbind(1)

@@ -182,7 +182,6 @@ class JsonLines:
                 yield row
 
     def _cut_off_torn_line(self) -> None:
-        self._whole = True
         data = self.path.read_bytes() if self.path.is_file() else b""
         if len(data) > (whole := data.rfind(b"\n") + 1):
             with writing(self.path):

@@ -39,7 +39,7 @@ def fit_reduced_set(machine: Machine, centres: int, x: Tensor) -> Machine:
     kind = machine.centres.dtype
     gamma, pool = float(machine.gamma_value), machine.centres.double()
     picked = pivots(pool, gamma, min(centres, len(pool)))
-    test = torch.arange(len(rows), device=rows.device) % 4 == 3
+    test = torch.arange(len(rows)) % 4 == 3
     smaller, best = None, torch.inf
     design = torch.nn.functional.pad(rbf(rows[~test], pool[picked], gamma), (0, 1), value=1.0)
     with torch.no_grad():

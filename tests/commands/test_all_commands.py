@@ -57,6 +57,30 @@ def test_help_is_there_in_less_than_a_second_without_slow_imports(words: list[st
     assert "\n  Exit codes: 0 " in ended.stdout
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_options_that_name_code_let_it_be_imported_from_here(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named = ("actions",) if name == "cgtorch-train" else ("actions", "domain")
+    for option in options_of(name):
+        if option.name not in named:
+            continue
+        monkeypatch.setattr(sys, "path", ["elsewhere"])
+        assert option.callback is not None
+        context = click.Context(command_of(name))
+        for given, path in (("tabletop", ["elsewhere"]), ("mine:Own", ["", "elsewhere"])):
+            value = (given,) if option.multiple else given
+            with suppress(click.UsageError):  # there is no such module
+                option.callback(context, option, value)
+            assert sys.path == path
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_has_help(name: str) -> None:
+    for option in options_of(name):
+        assert option.help, option.name
+
+
 @pytest.fixture
 def my_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The package that examples speak of."""

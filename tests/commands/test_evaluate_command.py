@@ -22,6 +22,25 @@ def share(succeeded: int, tried: int) -> dict[str, object]:
     return {"tried": tried, "succeeded": succeeded, "rate": rate, "interval": interval}
 
 
+def test_a_skill_file_has_no_models_and_no_other_measures(shell: Shell, trained: Trained) -> None:
+    found = shell.told(EVALUATE, trained.folder / "S0" / "skill.json", "--count", 3, "--seed", 2)
+    rows = found.pop("rows")
+    assert [set(row) for row in rows] == [{"succeeded", "return"}] * 3
+    assert found == {
+        "skill": "S0",
+        "scenarios": "perimeter",
+        "seed": 2,
+        **share(sum(row["succeeded"] for row in rows), 3),
+        "mean_return": None,
+        "predicted": None,
+        "w_other_noise": None,
+    }
+    words = trained.folder / "S0" / "skill.json", "--count", 3, "--seed", 2
+    said = shell.does(EVALUATE, *words).out
+    assert said.startswith(f"S0 on perimeter: {found['succeeded']} / 3 succeeded")
+    assert len(said.splitlines()) == 1
+
+
 @pytest.mark.parametrize(("place", "name"), [("", "S1"), ("S0", "S0")])
 def test_a_run_and_its_stages(
     shell: Shell, trained: Trained, monkeypatch: pytest.MonkeyPatch, place: str, name: str

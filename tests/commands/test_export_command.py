@@ -9,13 +9,16 @@ import networkx as nx
 import onnx
 import pydot
 import pytest
+import torch
 from command_line import EXPORT, REFERENCE, Shell, listing
 from exported import SLOW, exported
+from trained import Trained
 
 from cgtorch import export
 from cgtorch.commands.export import FORMATS
+from cgtorch.domains.data_files import read_data
 from cgtorch.graphs import Skill, load_skill, same_behaviour, skill_to_dict
-from cgtorch.runs.chosen import last_skill
+from cgtorch.runs.chosen import last_skill, stored_data
 
 SKILL = REFERENCE / "S0" / "skill.json"
 
@@ -155,3 +158,13 @@ def test_an_action_of_ones_own(shell: Shell, tmp_path: Path) -> None:
 def test_bad_input(shell: Shell, tmp_path: Path, words: tuple[object, ...], line: str) -> None:
     assert line in shell.refuses(EXPORT, *words)
     assert listing(tmp_path) == set()
+
+
+def test_the_data_of_a_run_are_a_table(shell: Shell, trained: Trained, tmp_path: Path) -> None:
+    run, part, data = stored_data(trained.folder)
+    said = shell.does(EXPORT, run.folder, "--format", "data", "--output", "data.csv").out
+    counts = f"{len(data.percept)} transitions and {len(data.tested)} tests"
+    assert said == f"data of {part}: data.csv, {counts}\n"
+    again = read_data(("data.csv",), run.domain.percept, run.domain.control)
+    for name, value in vars(again).items():
+        assert torch.equal(value, vars(data)[name]), name

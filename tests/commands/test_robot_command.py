@@ -3,10 +3,16 @@
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mesh_robot
 import pytest
+import torch
 from command_line import ROBOT, Shell, listing
+
+from cgtorch.commands.robot import _summary
+from cgtorch.tabletop.kinematics.description import Arm
 
 
 @pytest.fixture
@@ -79,3 +85,57 @@ def test_files_that_cannot_be_read(shell: Shell, urdf: Path) -> None:
     message = shell.refuses(ROBOT, urdf, "--package-path", "ws", "--output", "mine")
     assert "which leads out of the package 'mesh_robot'" in message
     assert "not a file" in shell.refuses(ROBOT, "none.urdf", "--output", "other")
+
+
+def a_robot(**more: Any) -> Any:
+    """What a robot's folder was made of, as far as it is told."""
+    arms = [Arm("left", "torso", "left_tool"), Arm("right", "torso", "right_tool")]
+    words = SimpleNamespace(
+        name="me", footprint=(-0.25, 0.35, -0.2, 0.3), base_frame="base", arms=arms,
+        torso_joint="lift", torso_position=0.2,
+    )  # fmt: skip
+    models = [
+        SimpleNamespace(joint_names=["a"] * 7, closed_form=object()),
+        SimpleNamespace(joint_names=["a"] * 6, closed_form=None),
+    ]
+    about = {
+        "robot": SimpleNamespace(description=words, arms=models), "meshes": [], "notes": [],
+        "inertials": [], "reached": SimpleNamespace(grasps=torch.tensor([True, False]), why=""),
+    }  # fmt: skip
+    return SimpleNamespace(**{**about, **more})
+
+
+def test_the_summary_of_a_robot() -> None:
+    checks = [
+        "- x leads forward in mine/robot.png, and the dashed footprint holds the body",
+        "- tool frames lie between the finger tips: red (x) along the approach, green (y) across",
+    ]
+    lines = [
+        "me: mine",
+        "base frame base, footprint 0.600 by 0.500 m, x from -0.25 to 0.35, y from -0.2 to 0.3",
+        "torso lift at 0.2",
+        "arm left: 7 joints from torso to left_tool, solved in closed form",
+        "arm right: 6 joints from torso to right_tool, solved numerically, which is slow",
+    ]
+    reached = "- of 2 objects on a table right before the robot it can grasp 1"
+    plain = a_robot()
+    assert list(_summary(plain, Path("mine"))) == [*lines, "", "Please check:", *checks, reached]
+    plain.robot.description.torso_joint = ""
+    assert list(_summary(plain, Path("mine")))[2] == "no torso joint"
+    shapes = [SimpleNamespace(ratio=ratio, shapes=["box"] * n) for ratio, n in ((1.5, 2), (2.5, 1))]
+    more = a_robot(
+        meshes=[
+            *(SimpleNamespace(fit=fit, link=f"link {i}") for i, fit in enumerate(shapes)),
+            SimpleNamespace(fit=None, link="hand", problem="its file is empty"),
+        ],
+        notes=["the stand is a guess"], inertials=["wheel", "hand"],
+        reached=SimpleNamespace(grasps=torch.zeros(3), why="too far"),
+    )  # fmt: skip
+    assert list(_summary(more, Path("mine"))) == [
+        *lines,
+        "2 meshes are 3 shapes, of 2.00 times the volume of convex hulls (mean; 2.50 of link 1)",
+        "", "Please check:", *checks, "- the stand is a guess",
+        "- masses or inertias were made up for wheel, hand",
+        "- link hand is not drawn: its file is empty",
+        "- of 3 objects on a table right before the robot it can grasp 0: too far",
+    ]  # fmt: skip

@@ -44,6 +44,16 @@ def test_what_is_waited_for(
     assert not shown or text.endswith("\x1b[2K")  # the line is cleared
 
 
+def test_work_within_is_shown_as_far_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.StringIO()
+    console = partial(Console, file=written, force_terminal=True, width=90, legacy_windows=False)
+    monkeypatch.setattr("rich.console.Console", lambda stderr: console())
+    with waiting("trying", False, 40):
+        counted("grasps", 7)(3)
+    assert "3/7" in written.getvalue()
+    assert "0/40" in written.getvalue()
+
+
 def in_the_midst_of_ctypes() -> None:
     """An interrupt while ctypes converts an argument is another error."""
 

@@ -2,13 +2,14 @@
 
 import io
 import sys
+import warnings
 from typing import Any
 
 import numpy as np
 import pytest
 from support import circle, seeded
 
-from cgtorch.domains.film import MOST, Film, Reel, animated, shrunk
+from cgtorch.domains.film import MOST, Film, Reel, animated, renderer, shrunk
 from cgtorch.domains.gymnasium import Gymnasium
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.registry import make_domain
@@ -46,6 +47,55 @@ def test_a_long_film_has_fewer_pictures_which_last_longer() -> None:
     assert film.lasts * len(film.frames) == pytest.approx(200 * MOST * 10, rel=0.02)
 
 
+def test_a_picture_is_of_the_act_during_which_it_was_taken() -> None:
+    reel = Reel(lambda: picture(0), every=0.1)
+    assert reel.film("success").acts == [0]  # the last picture, before any act
+    for act in range(3):
+        for step in range(2):
+            reel.take(0.1 * (2 * act + step))
+        reel.end_act()
+    film = reel.film("failure")
+    assert (list(film.acts), film.end) == ([0, 0, 1, 1, 2, 2, 2], "failure")
+    assert len(film.frames) == 7
+    reel.begin()
+    reel.take(0.0)
+    assert reel.film("success").acts == [3, 2]
+
+
+def test_pictures_that_are_left_out_take_their_acts_with_them() -> None:
+    now = [0]
+    reel = Reel(lambda: picture(now[0]), every=1.0)
+    for now[0] in range(2 * MOST - 1):
+        reel.take(now[0])
+        reel.end_act()
+    assert list(reel.film("x").acts) == [*range(2 * MOST - 1), 2 * MOST - 2]
+    now[0] = 2 * MOST - 1
+    reel.take(now[0])
+    film = reel.film("x")
+    assert [int(frame[0, 0, 0]) for frame in film.frames[:-1]] == list(range(0, 2 * MOST, 2))
+    assert list(film.acts[:-1]) == list(range(0, 2 * MOST, 2))
+    assert film.lasts == 2000
+    reel.take(now[0])  # which is no time for another picture
+    reel.take(2 * MOST)
+    assert len(reel.film("x").frames) == MOST + 2
+
+
+def test_where_nothing_can_be_drawn_there_is_one_error_and_no_warning(
+    monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+) -> None:
+    mujoco = pytest.importorskip("mujoco")
+
+    def made(self: Any, model: Any, height: int, width: int) -> None:
+        assert (height, width) == (30, 40)
+        warnings.warn("no display", stacklevel=1)
+        raise RuntimeError("no context")
+
+    monkeypatch.setattr(mujoco.Renderer, "__init__", made)
+    with pytest.raises(SettingsError, match=r"cannot draw here \(RuntimeError\); install libegl1"):
+        renderer(None, 40)
+    assert not recwarn.list
+
+
 @pytest.mark.parametrize("kind", ["gif", "webp"])
 def test_films_are_written_one_after_the_other(kind: str) -> None:
     one, other = ([picture(value + k) for k in range(0, 90, 30)] for value in (0, 100))
@@ -53,6 +103,13 @@ def test_films_are_written_one_after_the_other(kind: str) -> None:
     read = Image.open(io.BytesIO(data))
     assert read.format == kind.upper()
     assert read.n_frames == 6
+    lasts = []
+    for number in range(6):
+        read.seek(number)
+        read.load()
+        lasts.append(read.info["duration"])
+    assert lasts == [80, 80, 1200, 40, 40, 1200]
+    assert read.info["loop"] == 0
     read.seek(4)
     assert abs(int(np.asarray(read.convert("RGB")).mean()) - 130) < 12
 
@@ -60,6 +117,8 @@ def test_films_are_written_one_after_the_other(kind: str) -> None:
 def test_wide_pictures_are_shrunk() -> None:
     assert shrunk(picture(3, 80), 20).shape == (1, 20, 3)
     assert shrunk(picture(3, 80), 200).shape == (6, 80, 3)
+    assert shrunk(picture(3, 80), 80).shape == (6, 80, 3)
+    assert shrunk(picture(3, 80), 10).shape == (1, 10, 3)  # and never to nothing
 
 
 def test_without_pillow_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

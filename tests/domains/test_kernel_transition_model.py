@@ -68,6 +68,26 @@ def test_its_report_says_how_well(fitted: Fitted) -> None:
     assert all(report.error[i] < report.baseline_error[i] for i in (PLACE, LAMP, GEAR))
     assert len(report.choice) == 4
     assert report.choice[PLACE] is not None
+    curve = report.learning_curve
+    assert curve is not None
+    assert len(curve.sizes) == len(curve.test_scores) > 1
+    assert sum(curve.test_scores[0]) < sum(curve.test_scores[-1]) < 0  # minus an error
+    scores = torch.tensor(report.grid_scores)
+    sizes = [len(x) for x in (report.grid_gamma, report.grid_epsilon, report.grid_cost)]
+    assert list(scores.shape) == [*sizes, len(report.gap)]
+    for number, choice in enumerate(report.choice):
+        if choice is not None:
+            g, e = (
+                report.grid_gamma.index(choice.gamma),
+                report.grid_epsilon.index(choice.epsilon),
+            )
+            assert choice.score == pytest.approx(float(scores[g, e, :, number].max()))
+            c = report.grid_cost.index(choice.C)
+            assert choice.score == pytest.approx(float(scores[g, e, c, number]))
+    g, e = divmod(int(scores.amax(2).mean(-1).argmax()), sizes[1])
+    assert {(c.gamma, c.epsilon) for c in report.choice if c} == {
+        (report.grid_gamma[g], report.grid_epsilon[e])
+    }
 
 
 def test_what_never_changes_stays_as_it_is(fitted: Fitted) -> None:

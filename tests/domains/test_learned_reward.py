@@ -88,3 +88,35 @@ def test_doubt_is_larger_where_nothing_was_seen() -> None:
     near, far = torch.zeros(1, 2), torch.full((1, 2), 5.0)
     push = torch.zeros(1, 1)
     assert model.doubt(far, push) > 10 * model.doubt(near, push)
+
+
+def test_beyond_what_was_seen_doubt_is_a_share_of_its_width() -> None:
+    """Rewards are all the same, so that nothing else is in doubt; the second number never moves."""
+    place = torch.tensor([[-1.0, 3.0], [0.0, 3.0], [3.0, 3.0]])
+    push, no = torch.zeros(3, 1), torch.zeros(3, dtype=torch.bool)
+    model = LearnedReward(Steps(place, push, place, torch.ones(3).double(), no))
+    asked = torch.tensor([[-2.0, 3.0], [-1, 3], [5, 3], [0, 3.5], [0, 1], [4, 2]])
+    wanted = [0.25, 0.0, 0.5, 0.5, 2.0, 1.0]
+    assert model.doubt(asked, torch.zeros(6, 1)).tolist() == pytest.approx(wanted)
+
+
+def test_thresholds_are_midway_and_as_few_as_can_be() -> None:
+    going = torch.tensor([[0.0, 5.0], [1.0, 6.0]]).double()
+    above, below = torch.tensor([[3.0, 5.5]]).double(), torch.tensor([[0.5, 1.0]]).double()
+    assert Thresholds.found(going, above) == Thresholds(((0, 1, 2.0),))
+    both = Thresholds.found(going, torch.cat([above, above + 1, below]))
+    assert both is not None
+    assert sorted(both.limits) == [(0, 1, 2.0), (1, -1, -3.0)]
+    asked = torch.tensor([[2.1, 5.0], [1.9, 5.0], [0.5, 3.1], [0.5, 2.9], [9.0, 0.0]]).double()
+    assert both(asked).tolist() == [True, False, False, True, True]
+    # One threshold of the second number is enough, although one of the first has some of them.
+    some = torch.tensor([[3.0, 9.0], [3.0, 9.0], [0.5, 9.0]]).double()
+    assert Thresholds.found(going, some) == Thresholds(((1, 1, 7.5),))
+
+
+def test_an_end_at_the_edge_of_others_is_beyond_no_threshold() -> None:
+    going = torch.tensor([[0.0], [1.0]]).double()
+    for edge in (0.0, 1.0, 0.5):
+        assert Thresholds.found(going, torch.tensor([[edge]]).double()) is None
+        mixed = torch.tensor([[edge], [2.0]]).double()
+        assert Thresholds.found(going, mixed) is None

@@ -87,6 +87,7 @@ def test_a_skill_that_computes_nothing() -> None:
 @pytest.mark.hostile
 def test_the_model_is_whole_and_tells_nothing_else(data: bytes) -> None:
     proto = onnx.load_from_string(data)
+    assert proto.producer_name == "cgtorch"
     onnx.checker.check_model(proto, full_check=True)
     assert [i.name for i in proto.graph.input] == INPUTS
     assert [o.name for o in proto.graph.output] == OUTPUTS

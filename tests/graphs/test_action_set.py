@@ -1,8 +1,9 @@
 import pytest
 import torch
-from support import Counter, custom_actions, seeded
+from support import Counter, custom_actions, random_skill, seeded, world
 
-from cgtorch.graphs import Action, ActionSet
+from cgtorch.graphs import NO_NODE, Action, ActionSet, SubSkill
+from cgtorch.ground.environment import start_lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.tabletop.actions import Detect, Grasp, paper_actions
 
@@ -59,6 +60,27 @@ def test_initial_parameters_do_not_depend_on_other_nodes() -> None:
     assert (a[3] == 0).all()
     assert (a[2, 2:] == 0).all()
     assert (a[2, :2] != 0).all()
+
+
+def test_nodes_that_a_mutation_makes_get_numbers_where_they_have_parameters_only() -> None:
+    actions = custom_actions()
+    action = torch.tensor([[3, NO_NODE, 0], [5, 4, NO_NODE]])
+    found = actions.parameters_of(action, seeded(0))
+    used = torch.where(action < 0, 0, actions.num_parameters[action])[..., None]
+    assert torch.equal(found != 0, torch.arange(actions.parameter_capacity) < used)
+
+
+def test_a_skill_in_a_set_needs_the_longest_message_in_it() -> None:
+    assert ActionSet(("Detect",), (Detect(),)).message_size == 0
+    skill = SubSkill(random_skill(0, "S0", custom_actions()))
+    assert paper_actions().extended(["S0"], [skill]).message_size == 4
+
+
+def test_a_skill_is_no_single_step() -> None:
+    skill, place = SubSkill(random_skill(0, "S0", custom_actions())), world(0, 1)
+    lanes = start_lanes(place, torch.arange(1), 4, 2)
+    with pytest.raises(ActionError, match=r"'S0' cannot run as one step; run it with rollout\(\)"):
+        skill(lanes, torch.zeros(1, 0), place)
 
 
 class NoOutcome(Counter):

@@ -224,6 +224,10 @@ DEEP = {
         (setting("nodes", 1, "name", "Net"), "two nodes 'Net'; names must be unique"),
         (setting("nodes", 1, "colour", "red"), "node 1 of the skill has unknown key 'colour'"),
         (setting("nodes", []), "an edge with tail 'Net', which is none of its nodes"),
+        (
+            setting("nodes", GOOD["nodes"][1:2] * 10_001),
+            "has 10001 nodes; at most 10000 can be read",
+        ),
         (setting("nodes", ["Net"]), "node 0 of the skill is 'Net'; give an object with"),
         (setting("start", ...), "the skill file has no 'start'"),
         (setting("start", "Nowhere"), "start node 'Nowhere' is none of the nodes"),

@@ -88,6 +88,8 @@ def test_valid_and_check_graph_agree_with_the_plain_rule(seed: int, data: st.Dat
         ("edges", (0, 0, 2), 1, "node 0 has an edge to 1 for outcome 2, which is terminal or does"),
         ("edges", (0, 1, 1), 0, "node 2 cannot be reached from the start; remove or connect it"),
         ("action", (0, 1), 99, "node 1 has action 99; the set has 6"),
+        ("action", (0, 1), 6, "node 1 has action 6; the set has 6"),
+        ("action", (0, 1), -2, "node 1 has action -2; the set has 6"),
         (
             "parameters",
             (0, 2, 3),

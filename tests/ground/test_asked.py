@@ -1,6 +1,8 @@
 """What is asked of a world is counted, and what no budget covers is refused."""
 
+import time
 from dataclasses import astuple
+from math import inf
 
 import pytest
 from hypothesis import given
@@ -75,3 +77,21 @@ def test_what_was_asked_before_is_counted_whatever_the_limit() -> None:
         purse.pay("trials", Asked(motions=1))
     assert purse.spent == {"exploration": Asked(motions=7), "trials": Asked(tests=1)}
     assert Purse().total == Asked()
+    assert not Purse().exhausted
+    assert not Purse().settled
+
+
+def test_after_the_time_nothing_is_paid_for() -> None:
+    now = time.monotonic()
+    assert not Purse().late(-inf)  # as there is no end
+    for purse, late, after_a_while in (
+        (Purse(until=now + 600), False, False), (Purse(until=now - 5), True, False),
+    ):  # fmt: skip
+        assert purse.late() == late
+        assert purse.late(300) == after_a_while
+        assert purse.late(-900)
+    purse = Purse(until=now)
+    with pytest.raises(BudgetSpentError, match="the time is over; give more"):
+        purse.pay("trials", Asked(motions=1))
+    assert purse.exhausted
+    assert purse.spent == {}

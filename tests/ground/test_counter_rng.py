@@ -1,5 +1,7 @@
 """Random numbers of scenarios and of individuals: published answers, and what they depend on."""
 
+import zlib
+
 import pytest
 import torch
 from hypothesis import given
@@ -11,9 +13,12 @@ from cgtorch.evolution import compiled
 from cgtorch.ground.counter_rng import (
     BITS,
     fields,
+    individual_words,
     keys,
     normal,
     normal_from,
+    nth_true,
+    pick,
     random_key,
     shuffled,
     threefry,
@@ -140,3 +145,43 @@ def test_every_number_comes_everywhere() -> None:
     assert (counts - times / 10).abs().max() < 5 * (times / 10) ** 0.5
     together = (places[:, 0] == 3) & (places[:, 1] == 4)
     assert float(together.float().mean()) == pytest.approx(1 / 90, abs=0.01)
+
+
+@given(
+    seed=st.integers(0, 2**62), count=st.integers(0, 2**34), size=st.integers(1, 5),
+    who=st.text(max_size=4),
+)  # fmt: skip
+def test_numbers_of_a_scenario_are_the_words_of_its_seed_name_and_count(
+    seed: int, count: int, size: int, who: str
+) -> None:
+    found = uniform(torch.tensor([seed]), who, torch.tensor([count]), size)
+    key = pair((seed % 2**32, seed >> 32 ^ zlib.crc32(who.encode())))
+    both = [threefry(key, pair((count % 2**32, block))) for block in range(3)]
+    wanted = [int(word) // 256 / 2**24 for drawn in both for word in drawn][:size]
+    assert found.tolist() == [wanted]
+    assert found.dtype == torch.float32
+
+
+def test_parts_of_an_individuals_words_follow_one_another() -> None:
+    parts = individual_words(12345, 4, [3, 0, 2])
+    assert [tuple(part.shape) for part in parts] == [(4, 3), (4, 0), (4, 2)]
+    whole = words(keys(12345, 4)[:, None], torch.arange(5))
+    assert torch.equal(torch.cat(parts, 1), whole)
+    assert torch.equal(keys(12345, 9)[:4], keys(12345, 4))
+
+
+def test_a_place_is_picked_by_its_share() -> None:
+    draw = torch.arange(8) / 8
+    assert pick(draw, 4).tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert pick(draw[-1:], torch.tensor([0])).tolist() == [0]
+    largest = torch.tensor([1 - 2.0**-24])
+    assert pick(largest, 2**24 + 3).tolist() == [2**24 + 2]  # which would round up to the count
+    assert pick(largest, torch.tensor([5, 1])).tolist() == [4, 0]
+
+
+def test_of_what_is_true_each_comes_with_its_share() -> None:
+    mask = torch.tensor([[True, False, True, True], [False] * 4, [False, True, False, False]])
+    draw = torch.tensor([0.0, 0.4, 0.5, 0.9]).expand(3, -1)
+    assert nth_true(mask, draw).tolist() == [[0, 2, 2, 3], [0] * 4, [1] * 4]
+    square = draw.reshape(3, 2, 2)
+    assert torch.equal(nth_true(mask, square), nth_true(mask, draw).view(3, 2, 2))

@@ -1,5 +1,7 @@
 """What is plugged in is checked at the door, and the error says which method returned what."""
 
+import json
+import traceback
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
@@ -12,7 +14,16 @@ from support import Counter, custom_actions, model, nested_actions, seeded, worl
 from torch import Tensor
 
 from cgtorch.evolution import EvolutionSettings, evolve
-from cgtorch.ground.dry_run import check_environment, repeats_itself
+from cgtorch.graphs import to_networkx
+from cgtorch.ground.dry_run import (
+    MOTIONS,
+    check_environment,
+    failed_at,
+    kind,
+    reason,
+    repeats_itself,
+    two_rows,
+)
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, ModelError, WorldError
 from cgtorch.simulation import ModelEnvironment
@@ -116,6 +127,24 @@ def in_place(lanes: Lanes) -> Lanes:
         ("step", lambda lanes, u: u @ u, "Own.step raised RuntimeError.*tried with two rows"),
         ("observe", lambda lanes: lanes.percept, r"a tensor \(2, 2\) of float32 as lanes; return"),
         ("observe", lambda lanes: in_place(lanes), "changed lanes.percept in place"),
+        (
+            "observe",
+            lambda lanes: replace(lanes, memory=torch.zeros(2, 3)),
+            r"lanes.memory as a tensor \(2, 3\) of float32; return a tensor \(2, 0\) of float32, "
+            "or set memory_size in the action's class",
+        ),
+        (
+            "observe",
+            lambda lanes: replace(lanes, message=torch.zeros(2, 3)),
+            r"as a tensor \(2, 3\) of float32; return a tensor \(2, 1\) .* set message_size in",
+        ),
+        ("observe", lambda lanes: replace(lanes, step=1), "step as a int; return a tensor"),
+        ("success", lambda lanes: (lanes,), r"success returned \(a Lanes\); return \(lanes, prob"),
+        (
+            "success",
+            lambda lanes: (lanes, -lanes.percept[:, 0] - 1),
+            r"\[-1.0, -2.0\]; return prob",
+        ),
         ("success", lambda lanes: 0.5, r"success returned a float; return \(lanes, prob"),
         ("success", lambda lanes: lanes.percept[:, 0], r"success returned a tensor \(2,\)"),
         ("success", lambda lanes: (in_place(lanes), lanes.percept[:, 0]), "changed lanes.percept"),
@@ -205,3 +234,110 @@ def test_evolve_is_a_door() -> None:
         next(evolve(model(0, 3), silent, SETTINGS, seeded(0)))
     for actions in (custom_actions(), nested_actions()):
         next(evolve(model(0, 3), actions, SETTINGS, seeded(0)))
+
+
+def test_what_was_returned_is_described() -> None:
+    assert kind(torch.zeros(2, 3)) == "a tensor (2, 3) of float32"
+    assert kind((torch.tensor(1), None)) == "(a tensor () of int64, a NoneType)"
+    assert kind(((), (1, 2, 3, 4))) == "((), (a int, a int, a int, a int))"
+    assert kind((1, 2, 3, 4, 5)) == "a tuple"
+
+
+class WordlessError(Exception):
+    def __str__(self) -> str:
+        raise ValueError("no words")
+
+
+def test_the_reason_is_one_short_line() -> None:
+    assert reason(KeyError("x")) == "KeyError: 'x'"
+    assert reason(ValueError("a\n  b" + 300 * "c")) == f"ValueError: a b{197 * 'c'}"
+    assert reason(ValueError()) == "ValueError"
+    assert reason(WordlessError()) == "WordlessError"
+
+
+def own_line(e: BaseException) -> int:
+    """The line in which this file was left."""
+    return [f.lineno for f in traceback.extract_tb(e.__traceback__) if f.filename == __file__][-1]
+
+
+def test_where_it_failed_is_the_users_line_and_not_the_librarys() -> None:
+    nothing: Any = None
+    errors = AttributeError, ValueError, RuntimeError
+    for failing in (
+        lambda: to_networkx(nothing, nothing),  # of the library
+        lambda: json.loads("nonsense"),  # of Python
+        lambda: torch.nn.Linear(2, 3)(torch.zeros(5)),  # of a package
+    ):
+        with pytest.raises(errors) as caught:
+            failing()
+        assert failed_at(caught.value) == f" in line {own_line(caught.value)} of test_dry_run.py"
+    assert failed_at(ValueError("never raised")) == ""
+    where = eval("lambda: 1 / 0")  # noqa: S307  a text, which has no file
+    with pytest.raises(ZeroDivisionError) as caught:
+        where()
+    assert failed_at(caught.value) == f" in line {own_line(caught.value)} of test_dry_run.py"
+
+
+def test_two_rows_are_tried_of_as_many_as_there_are() -> None:
+    assert two_rows(1).tolist() == [0, 0]
+    assert two_rows(2).tolist() == two_rows(9).tolist() == [0, 1]
+
+
+def test_what_a_check_begins_with_has_a_message_and_no_memory() -> None:
+    met = list[tuple[Any, ...]]()
+
+    def step(self: Any, lanes: Lanes, control: Tensor) -> Any:
+        met.append((*lanes.message.shape, *lanes.memory.shape, lanes.scenario.tolist()))
+        assert not control.any()
+        return Plain.step(self, lanes, control)
+
+    own = type("Own", (Plain,), {"step": step})()
+    check_environment(own)
+    assert repeats_itself(own)
+    assert met == [(2, 1, 2, 0, [0, 1])] * (1 + 2 * MOTIONS)
+
+
+def test_percepts_that_are_no_numbers_are_not_taken_for_changed_ones() -> None:
+    def blind(self: Any, scenario: Tensor) -> Any:
+        state, percept = Plain.start(self, scenario)
+        return state, percept * torch.nan
+
+    def success(self: Any, lanes: Lanes) -> Any:
+        return lanes, torch.zeros(len(lanes))
+
+    def seeing(self: Any, lanes: Lanes) -> Any:
+        lanes.percept[:] = 0
+        return lanes
+
+    check_environment(type("Own", (Plain,), {"start": blind, "success": success})())
+    bad = type("Own", (Plain,), {"start": blind, "success": success, "observe": seeing})()
+    with pytest.raises(WorldError, match=r"changed lanes\.percept in place"):
+        check_environment(bad)
+
+
+def test_rewards_that_differ_when_they_are_asked_again_do_not_repeat_themselves() -> None:
+    calls = count()
+
+    class Paid(Plain):
+        def over(self, lanes: Lanes) -> Tensor:
+            return torch.zeros(len(lanes), dtype=torch.bool)
+
+        def returns(self, lanes: Lanes) -> Tensor:
+            return lanes.percept[:, 0]
+
+    class Lucky(Paid):
+        def returns(self, lanes: Lanes) -> Tensor:
+            return lanes.percept[:, 0] + next(calls)
+
+    assert repeats_itself(Paid())
+    assert not repeats_itself(Lucky())
+
+
+def test_what_an_environment_is_made_of_is_named_in_its_place() -> None:
+    parts = {"step": "move", "success": "won"}
+    wrong = {"step": lambda self, lanes, control: lanes, "made_of": parts}
+    with pytest.raises(WorldError, match=r"^Own\.move returned a Lanes"):
+        check_environment(type("Own", (Plain,), wrong)())
+    wrong = {"success": lambda self, lanes: lanes, "made_of": parts}
+    with pytest.raises(WorldError, match=r"^Own\.won returned a Lanes"):
+        check_environment(type("Own", (Plain,), wrong)())

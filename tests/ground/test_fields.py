@@ -103,3 +103,14 @@ def test_all_else_is_cut_off_at_its_bounds(value: float, kind: str) -> None:
     values = torch.tensor([[value]], dtype=torch.float64)
     assert within_bounds(values, [field]).item() == min(max(value, -1), 2)
     assert torch.equal(within_bounds(values, [Field("gear", kind=kind)]), values)
+
+
+@given(st.lists(KIND, min_size=1, max_size=5), st.integers(0, 4), st.integers(0, 2**31))
+def test_a_field_comes_within_its_bounds_whatever_is_beside_it(
+    kinds: list[str], rows: int, seed: int
+) -> None:
+    fields = [Field(str(i), "", -1.0 - i, 2.0, kind) for i, kind in enumerate(kinds)]
+    values = 9 * torch.randn(2, rows, len(kinds), generator=seeded(seed), dtype=torch.float64)
+    found = within_bounds(values, fields)
+    alone = [within_bounds(values[..., [i]], [field]) for i, field in enumerate(fields)]
+    assert torch.equal(found, torch.cat(alone, -1))

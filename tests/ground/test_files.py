@@ -8,14 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from safetensors.torch import save
 
 from cgtorch.ground.errors import GraphError, RunError
 from cgtorch.ground.files import (
     JsonLines,
+    notes_of,
+    place_of,
     read_bytes,
     read_json,
+    read_versioned,
+    tensors_of,
     whole_folder,
     write_bytes,
     write_json,
@@ -31,6 +37,17 @@ def test_round_trip_replaces_the_old_content_and_leaves_no_other_file(tmp_path: 
         write_json(path, data)
         assert read_json(path) == data
         assert list(tmp_path.iterdir()) == [path]
+
+
+def test_all_bytes_are_with_the_system_when_a_file_is_made_durable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A crash after a rename must not leave an empty file under the new name."""
+    sizes = list[int]()
+    monkeypatch.setattr(os, "fsync", lambda file: sizes.append(os.fstat(file).st_size))
+    for data in (b"12345", b"1" * 10**6, b""):
+        write_bytes(tmp_path / "a", data)
+    assert sizes == [5, 10**6, 0]
 
 
 @pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), KeyboardInterrupt()])
@@ -206,3 +223,123 @@ def test_a_folder_can_appear_where_a_link_leads(tmp_path: Path) -> None:
     assert (tmp_path / "disk" / "run" / "a").read_text() == "1"
     assert (tmp_path / "link").is_symlink()
     assert not list(tmp_path.rglob("*.tmp"))
+
+
+def test_only_the_first_lines_of_a_log_cost_a_look_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A log of a long run is large, and gets many lines."""
+    path, looks, read = tmp_path / "log", list[Path](), Path.read_bytes
+    path.write_bytes(b'{"a": 1}\n{"torn')
+    log = JsonLines(path)
+    assert list(log.rows()) == [{"a": 1}]
+    monkeypatch.setattr(Path, "read_bytes", lambda path: looks.append(path) or read(path))
+    log.append()  # nothing, which changes nothing
+    assert looks == []
+    log.append({"b": 2}, {"b": 3})
+    log.append({"c": 4})
+    assert looks == [path]
+    assert read(path) == b'{"a": 1}\n{"b": 2}\n{"b": 3}\n{"c": 4}\n'
+
+
+def test_what_a_full_disk_tore_is_cut_off_before_the_next_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, write = tmp_path / "log", os.write
+    log = JsonLines(path)
+    log.append({"a": 1})
+
+    def full(file: int, data: bytes) -> int:
+        write(file, data[:4])
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(RunError, match="No space left on device"):
+            log.append({"b": 2})
+    assert list(log.rows()) == [{"a": 1}]
+    log.append({"c": 3})
+    assert list(log.rows()) == [{"a": 1}, {"c": 3}]
+    slowly = lambda file, data: write(file, data[:3])  # noqa: E731  as a system may
+    monkeypatch.setattr(os, "write", slowly)
+    log.append({"d": 4}, {"e": "ä"})
+    assert list(log.rows())[2:] == [{"d": 4}, {"e": "ä"}]
+
+
+def test_rows_of_a_log_that_begin_with_a_text(tmp_path: Path) -> None:
+    log = JsonLines(tmp_path / "log")
+    log.append({"a": 1}, {"b": 2}, {"a": 3}, {"c": 4})
+    assert list(log.rows('{"a"')) == [{"a": 1}, {"a": 3}]
+    assert list(log.rows('{"c"', '{"a": 1')) == [{"a": 1}, {"c": 4}]
+    with log.path.open("ab") as file:
+        file.write(b"nonsense\n")
+    assert list(log.rows('{"b"')) == [{"b": 2}]  # the others are not looked at
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[]", "is not of a thing; restore the file or give another"),
+        ('{"version": 3}', "is not of a thing; restore"),
+        ('{"format": "other", "version": 3}', "is not of a thing; restore"),
+        ('{"format": "thing"}', "is of version None, this cgtorch reads 3; use the version that"),
+        ('{"format": "thing", "version": 2}', "is of version 2, this cgtorch reads 3"),
+        ('{"format": "thing", "version": "%s"}' % ("9" * 500), "is of version '9{19}, this"),
+    ],
+)
+def test_what_has_another_format_or_version_is_not_read(
+    tmp_path: Path, content: str, message: str
+) -> None:
+    path = tmp_path / "a.json"
+    data = {"format": "thing", "version": 3, "more": [1]}
+    write_json(path, data)
+    assert read_versioned(path, "thing", 3, "a thing") == data
+    path.write_text(content)
+    with pytest.raises(RunError, match=message) as caught:
+        read_versioned(path, "thing", 3, "a thing")
+    assert repr(str(path)) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "place"),
+    [("/a/b/run", "run"), ("runs/one", "runs/one"), ("../one", "../one"), ("one", "one")],
+)
+def test_a_place_in_a_text_says_nothing_of_the_machine(given: str, place: str) -> None:
+    assert place_of(Path(given)) == Path(place)
+
+
+def test_the_folder_that_one_is_in_is_called_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert place_of(Path()) == Path(tmp_path.name)
+
+
+def test_a_folder_that_fails_does_not_appear(tmp_path: Path) -> None:
+    def write(folder: Path) -> None:
+        (folder / "a").write_text("1")
+        raise KeyError
+
+    with pytest.raises(KeyError), whole_folder(tmp_path / "run") as folder:
+        write(folder)
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "kept").touch()
+    with pytest.raises(RunError, match=r"cannot write .*run"), whole_folder(tmp_path / "run"):
+        pass
+    with pytest.raises(RunError, match=r"cannot write .*/none/run"):
+        whole_folder(tmp_path / "none" / "run").__enter__()
+    assert sorted(tmp_path.rglob("*")) == [tmp_path / "run", tmp_path / "run" / "kept"]
+
+
+def test_tensors_and_notes_come_back_from_bytes_and_damage_is_one_error() -> None:
+    tensors = {"x": torch.arange(3.0), "y": torch.tensor([[True]])}
+    whole = save(tensors, {"about": "1"})
+    assert notes_of(whole) == {"about": "1"}
+    assert notes_of(save(tensors)) == {}
+    found = tensors_of(whole)
+    assert found.keys() == tensors.keys()
+    assert all(torch.equal(found[name], tensors[name]) for name in tensors)
+    for damaged in (b"", whole[:-1], whole + b"1", b"9" * 100, whole[:20]):
+        with pytest.raises(ValueError, match=r"^.{1,200}$"):
+            tensors_of(damaged)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import seeded
 
-from cgtorch.ground.statistics import accept_model, wilson
+from cgtorch.ground.statistics import Acceptance, accept_model, wilson
 
 
 # From statsmodels.stats.proportion.proportion_confint(k, n, method="wilson").
@@ -39,7 +39,15 @@ def test_better_and_equal_models_are_taken_and_worse_ones_refused() -> None:
     worse = accept_model(error, error + 0.1)
     assert worse.reason.startswith("refused")
     assert f"{worse.after:.4f}" in worse.reason
-    assert accept_model(torch.zeros(0), torch.zeros(0)).accepted
+
+
+def test_less_than_two_rows_say_nothing_against_a_model() -> None:
+    assert accept_model(torch.zeros(0), torch.zeros(0)) == Acceptance(True, 0, 0, 0, 0)
+    one = accept_model(torch.tensor([0.25]), torch.tensor([0.75]))
+    assert one == Acceptance(True, 1, 0.25, 0.75, 0)
+    assert one.reason == (
+        "taken: error 0.7500 after 0.2500 on 1 earlier rows held out, tolerance 0.0000"
+    )
 
 
 @given(st.integers(2, 50), st.integers(0, 2**31), st.floats(-1, 1))
@@ -49,3 +57,6 @@ def test_the_tolerance_is_two_standard_errors(rows: int, seed: int, shift: float
     loss = after + shift - before
     assert acceptance.accepted == bool(loss.mean() <= 2 * loss.std() / rows**0.5)
     assert acceptance.rows == rows
+    assert acceptance.before == pytest.approx(float(before.mean()))
+    assert acceptance.after == pytest.approx(float((after + shift).mean()))
+    assert acceptance.tolerance == pytest.approx(2 * float(loss.std()) / rows**0.5)

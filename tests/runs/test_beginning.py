@@ -3,14 +3,20 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+from rewarded_cart import RewardedCart
 from support import create_run
 from trained import SMALL, Trained, copied
 
-from cgtorch.ground.errors import RunError, SettingsError
+from cgtorch import DomainSettings
+from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
+from cgtorch.runs import stored_run
 from cgtorch.runs.chosen import stored_domain
-from cgtorch.runs.stored_run import planned_run, read_run, write_run
+from cgtorch.runs.settings import RunSettings
+from cgtorch.runs.stored_run import only_begun, planned_run, read_run, write_run
+from cgtorch.runs.writer import WRITER
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.settings import TabletopSettings
 
@@ -71,3 +77,80 @@ def test_in_a_world_that_does_not_repeat_itself_a_run_is_of_one_process(
     driven = replace(SMALL, driver="no_such_package:Robot")
     with pytest.raises(SettingsError, match="which 2 processes cannot share; train with one"):
         planned_run(tmp_path / "robot", driven)  # before anything moves
+
+
+BROKEN = """
+from cgtorch.tabletop.actions import Detect
+
+class Broken(Detect):
+    def forward(self, lanes, parameters, environment):
+        return lanes
+"""
+
+
+def test_actions_are_tried_unless_the_library_made_them_and_the_domain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_action.py").write_text(BROKEN)
+    monkeypatch.syspath_prepend(tmp_path)
+    tried, check = list[str](), stored_run.check_action
+
+    def watched(name: str, action: Any, world: Any) -> None:
+        tried.append(name)
+        check(name, action, world)
+
+    monkeypatch.setattr(stored_run, "check_action", watched)
+    planned_run(tmp_path / "run", SMALL)
+    assert tried == []
+    with pytest.raises(ActionError, match=r"'Broken': forward returned a Lanes; return"):
+        planned_run(tmp_path / "run", replace(SMALL, actions=("broken_action:Broken",)))
+    assert tried == ["Broken"]
+    tried.clear()
+    cart = RewardedCart(DomainSettings())
+    run = planned_run(tmp_path / "run", RunSettings(domain="mine:Cart", models="none"), domain=cart)
+    assert tried == list(run.actions.names)
+
+
+def test_a_run_does_not_replace_what_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "other").touch()
+    for place in (tmp_path / "file", full):
+        with pytest.raises(RunError, match="is not empty and holds no run; choose another folder"):
+            planned_run(place, SMALL)
+    planned_run(full, SMALL, anew=True)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RunError, match="a run cannot replace the current folder"):
+        planned_run(tmp_path, SMALL, anew=True)
+
+
+def test_a_run_that_has_produced_nothing_may_begin_again(tmp_path: Path) -> None:
+    settings = RunSettings(domain="rewarded_cart:RewardedCart", models="none")
+    cart, folder = RewardedCart(DomainSettings()), tmp_path / "run"
+    write_run(planned_run(folder, settings, domain=cart))
+    (folder / "events.out.tfevents.1").touch()
+    (folder / WRITER).touch()
+    assert only_begun(folder)
+    write_run(planned_run(folder, replace(settings, seed=5), anew=True, domain=cart))
+    assert read_run(folder, domain=cart).settings.seed == 5
+    (folder / "log.jsonl").touch()
+    assert not only_begun(folder)
+
+
+def test_a_run_is_opened_with_what_it_was_begun_with(trained: Trained) -> None:
+    for given, error, says in (
+        ({"domain": "mine:Own"}, DomainError, "is about domain 'tabletop', not 'mine:Own'; give"),
+        ({"trusted": ("a:B",)}, ActionError, "was begun without action 'a:B' and cannot use it"),
+        ({"driver": "a:B"}, DomainError, "was begun with no driver, not 'a:B'; give that"),
+    ):
+        with pytest.raises(error, match=says):
+            read_run(trained.folder, **given)  # type: ignore[arg-type]
+    run = read_run(trained.folder, domain="tabletop")
+    assert (run.learns, run.imagines, run.repeats, run.kind) == (True, False, True, "perimeter")
+    assert len(run.like()) == 0
+    assert [result["stage"] for result in run.results] == ["S0", "S1"]
+    none = replace(run, settings=replace(run.settings, models="none"))
+    assert (none.learns, none.imagines) == (False, False)

@@ -12,7 +12,16 @@ from hypothesis import strategies as st
 
 from cgtorch.domains.settings import DomainSettings, from_plain, to_plain
 from cgtorch.ground.errors import SettingsError
-from cgtorch.runs.settings import NAMES, RunSettings, all_fields, defaults_of
+from cgtorch.runs.settings import (
+    NAMES,
+    SCENARIOS,
+    Goal,
+    RunSettings,
+    all_fields,
+    defaults_of,
+    help_of,
+    option_of,
+)
 from cgtorch.tabletop.domain import ACTIONS
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.tabletop.world import PERCEPTS
@@ -164,3 +173,48 @@ def test_a_setting_missing_in_a_file(kind: Kind, name: str) -> None:
 def test_an_unknown_setting_in_a_file(kind: Kind) -> None:
     with pytest.raises(SettingsError, match="'colour' is unknown or missing"):
         from_plain(kind, {**to_plain(kind()), "colour": "red"})
+
+
+def test_what_is_usual_is_one_population_without_anything_of_ones_own() -> None:
+    usual = RunSettings()
+    assert (usual.domain, usual.seed, usual.islands) == ("tabletop", 0, 1)
+    assert (usual.driver, usual.actions, usual.data) == ("", (), ())
+    assert usual.practice == 0  # which leaves the number to the world
+    assert (usual.models, usual.chance, usual.scenarios) == ("auto",) * 3
+
+
+@pytest.mark.parametrize("kind", [RunSettings, Goal])
+def test_every_setting_says_what_it_is_and_when_to_change_it(kind: type) -> None:
+    for f in fields(kind):
+        assert f.metadata["help"].endswith((".", "solved (target_return).")), f.name
+        assert f.metadata["when"].endswith("."), f.name
+
+
+def test_what_a_finished_run_was_made_with_is_fixed() -> None:
+    fixed = {f.name for f in fields(RunSettings) if f.metadata["fixed"]}
+    assert fixed == {
+        "domain", "seed", "method", "models", "transitions", "scenarios", "driver", "actions",
+        "data",
+    }  # fmt: skip
+
+
+def test_a_goal_is_a_share_or_a_return_within_limits() -> None:
+    goal = Goal()
+    assert (goal.screening, goal.decisive) == (1000, 4000)
+    assert (Goal(target=0.9).screening, Goal(target=0.9).decisive) == (100, 400)
+    assert Goal(target=-500.0, minutes=0).target == -500
+    assert Goal(target=1e9).target == 1e9
+    assert Goal(minutes=1e6, rounds=1).rounds == 1
+    for wrong in ({"minutes": -0.1}, {"minutes": 1.1e6}, {"rounds": 0}, {"target": math.nan}):
+        with pytest.raises(SettingsError, match=f"{next(iter(wrong))} is "):
+            Goal(**wrong)
+
+
+def test_the_kinds_of_scenarios_are_those_of_the_domain() -> None:
+    by_name = {f.name: f for f in fields(RunSettings)}
+    own = by_name["scenarios"]
+    assert help_of(own, "tabletop", ()).startswith(f"{SCENARIOS} The tabletop has perimeter (")
+    assert help_of(own, "mine:Own", ("a", "b")) == f"{SCENARIOS} This domain has a, b."
+    assert help_of(own, "mine:Own", ()) == SCENARIOS
+    assert help_of(by_name["seed"], "mine:Own", ("a",)) == "Seed of all random numbers."
+    assert option_of("max_transitions") == "--max-transitions"

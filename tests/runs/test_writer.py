@@ -1,5 +1,6 @@
 """One writer to a run: who comes second is told, and a lock ends with its process."""
 
+import errno
 import fcntl
 import json
 import multiprocessing
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from cgtorch.ground.errors import RunError
-from cgtorch.runs.writer import WRITER, sole_writer
+from cgtorch.runs.writer import NO_LOCKS, WRITER, sole_writer
 
 HOLD = """
 import os, sys, time
@@ -137,3 +138,27 @@ def test_where_a_folder_is_that_was_renamed_is_told(tmp_path: Path, error: Excep
         (RunError, ValueError), match=moved if isinstance(error, OSError) else "odd"
     ):
         write(rename=True)
+
+
+@pytest.mark.parametrize("number", NO_LOCKS)
+def test_where_nothing_can_be_locked_a_run_is_written_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def refuses(file: int, how: int) -> None:
+        raise OSError(number, "no locks")
+
+    monkeypatch.setattr(fcntl, "flock", refuses)
+    with sole_writer(tmp_path):
+        assert json.loads((tmp_path / WRITER).read_text())["process"] == os.getpid()
+        enter(tmp_path)
+
+
+def test_another_failure_of_a_lock_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(file: int, how: int) -> None:
+        raise OSError(errno.EIO, "broken")
+
+    monkeypatch.setattr(fcntl, "flock", fails)
+    before = len(os.listdir("/proc/self/fd")) if os.path.exists("/proc/self/fd") else 0
+    with pytest.raises(OSError, match="broken"):
+        enter(tmp_path)
+    assert not before or len(os.listdir("/proc/self/fd")) == before  # and the file is closed

@@ -216,3 +216,17 @@ def test_sizes_double_up_to_what_the_folds_leave(rows, folds, count):
         left = rows - int(numbers.bincount().max())
         assert left - 2 <= sizes[-1] <= left
     assert all(b // a == 2 for a, b in itertools.pairwise(sizes))
+
+
+@pytest.mark.parametrize(
+    ("rows", "count", "sizes"),
+    [
+        (82, 5, (16, 32, 64)),
+        (81, 5, (31, 63)),
+        (82, 2, (32, 64)),
+        (20, 5, (14,)),
+        (3000, 1, (2398,)),
+    ],
+)
+def test_no_size_is_below_sixteen_unless_there_is_no_other(rows, count, sizes):
+    assert doubling_sizes(rows, 5, count) == sizes

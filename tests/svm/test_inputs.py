@@ -171,3 +171,47 @@ def test_state_dict_is_complete():
     copy.load_state_dict(model.state_dict())
     assert torch.equal(copy(torch.tensor(X)), model(torch.tensor(X)))
     assert copy.support.tolist() == model.support.tolist()
+
+
+def test_buffers_of_another_number_of_axes_or_none_are_no_state():
+    machine = SVR().fit(np.arange(12.0).reshape(6, 2), np.arange(6.0))
+    state = machine.state_dict()
+    for name, value in (("bias", state["bias"][None]), ("centres", state["centres"][0])):
+        with pytest.raises(RuntimeError, match=f"size mismatch for {name}"):
+            SVR().load_state_dict({**state, name: value})
+    with pytest.raises(RuntimeError, match="Missing key"):
+        SVR().load_state_dict({name: state[name] for name in state if name != "bias"})
+    SVR().load_state_dict(state)
+
+
+def test_what_is_not_given_is_as_in_scikit_learn():
+    for ours, theirs in ((SVC(), sklearn.svm.SVC()), (SVR(), sklearn.svm.SVR())):
+        assert ours.C == theirs.C
+        assert ours.gamma == theirs.gamma
+    assert SVR().epsilon == sklearn.svm.SVR().epsilon
+
+
+def test_before_a_fit_there_are_no_centres_and_no_probabilities():
+    for model in (SVC(), SVR()):
+        shapes = {name: tuple(value.shape) for name, value in model.state_dict().items()}
+        none = {"centres": (0, 0), "weights": (0, 1), "support": (0,), "bias": (1,)}
+        assert none.items() <= shapes.items()
+        assert not model.fitted
+        assert float(model.gamma_value) == 1
+    assert SVC().classes.tolist() == [0, 1]
+    assert np.isnan(SVC().platt.numpy()).all()
+    assert bool(SVR().squeeze)
+
+
+def test_learning_on_begins_with_what_was_learned(monkeypatch):
+    begun = []
+    start = SVR._start
+    monkeypatch.setattr(SVR, "_start", lambda *given: begun.append(given) or start(*given))
+    model = SVR([2.0], gamma=0.25, epsilon=0.05).fit(X[:30], X[:30, 0])
+    assert not begun
+    model.C, model.gamma, model.epsilon = 9.0, 9.0, 9.0  # which were not those of the fit
+    model.learn_on(X, X[:, 0])
+    assert len(begun) == 1
+    assert (model.C, model.gamma, model.epsilon) == ([2.0], 0.25, [0.05])
+    wanted = SVR([2.0], gamma=0.25, epsilon=0.05).fit(X, X[:, 0]).predict(X)
+    np.testing.assert_allclose(model.predict(X), wanted, atol=1e-4)

@@ -11,7 +11,8 @@ from dual_problems import rows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cgtorch.ground.errors import DataError
+from cgtorch.ground.errors import DataError, SettingsError
+from cgtorch.native import available, constants
 from cgtorch.svm import rbf as module
 from cgtorch.svm.rbf import Gram, chunk_rows, predict_rbf, rbf
 
@@ -156,3 +157,66 @@ def test_kernel_matrices_are_those_of_torch(n):
 def test_kernels_that_are_not_finite_are_refused():
     with pytest.raises(DataError, match="non-finite"):
         _ = Gram(torch.tensor([[1e200], [-1e200], [1e300]]).double(), 1.0).single
+
+
+@pytest.mark.parametrize("dtype", FLOATS)
+def test_distances_are_sums_of_products_unless_those_would_cost_half_of_the_digits(dtype):
+    """Of centres on a circle, the largest square is that of its radius."""
+    angle = torch.arange(8) * torch.pi / 4
+    circle = torch.stack([angle.cos(), angle.sin()], 1).to(dtype) + 1000
+    most = torch.finfo(dtype).eps ** -0.25  # the radius whose square takes half of the digits
+    for radius, far in ((0.9 * most, False), (1.1 * most, True)):
+        centres = (circle - 1000) * radius
+        assert module._far(centres, 1.0) == far
+        assert module._far(centres / 3, torch.tensor(9.0)) == far
+    assert not module._far(circle, 1.0)  # an offset takes none
+    assert not module._far(torch.ones(2, 1, device="meta"), 1.0)  # nobody waits for a GPU
+
+
+def test_the_width_is_that_of_scikit_learn_or_as_given():
+    x = rows(2, 40)
+    assert Gram(x, "scale").gamma == pytest.approx(1 / (5 * float(x.numpy().var())))
+    assert Gram(torch.ones(3, 2).double(), "scale").gamma == 1
+    assert Gram(x, 0.25).gamma == 0.25
+    for wrong in (0.0, -1.0, torch.inf, torch.nan, "wide", None):
+        with pytest.raises(SettingsError, match='choose "scale" or a positive number'):
+            Gram(x, wrong)
+
+
+@pytest.mark.parametrize(
+    ("rows", "centres", "threads"),
+    [(1, 1, 1), (2**10, 2**10, 2), (2**10, 2**9, 1), (2**11, 2**10, 3), (2**20, 2**9, 3)],
+)
+def test_threads_are_as_many_as_pay_off(rows, centres, threads, monkeypatch):
+    monkeypatch.setattr(module, "threads", lambda: 3)
+    assert module.threads_for(rows, centres) == threads
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e12])
+def test_an_offset_takes_no_digits_from_single_precision(offset):
+    x = rows(5, 17) + offset
+    gram = Gram(x, 0.3)
+    torch.testing.assert_close(gram.single[:, :17].double(), gram.matrix, atol=1e-6, rtol=0)
+
+
+@pytest.mark.skipif(not available(), reason="there is no C compiler")
+@pytest.mark.parametrize("dtype", FLOATS)
+def test_machines_up_to_a_size_are_compiled(dtype):
+    most = constants("machine_limits", dtype)
+    for features, outputs, centres, there in (
+        (most["MOST_FEATURES"], 1, 3, True),
+        (most["MOST_FEATURES"] + 1, 1, 3, False),
+        (2, most["MOST_OUTPUTS"], 3, True),
+        (2, most["MOST_OUTPUTS"] + 1, 3, False),
+        (2, 1, 0, False),
+        (0, 1, 3, False),
+    ):
+        _, machine = problem(4, max(features, 1), centres, outputs, dtype)
+        machine = (machine[0][:, :features], *machine[1:])
+        assert (module.machine_structure(*machine) is not None) == there
+    x, machine = problem(50, 4, 33, 3, dtype)
+    values, nearest = module.machine_values(x, *machine)
+    wanted = predict_rbf(x, *machine)
+    tolerance = 3e-4 if dtype == FLOATS[0] else 1e-10
+    torch.testing.assert_close(values, wanted[0], atol=tolerance, rtol=tolerance)
+    torch.testing.assert_close(nearest, wanted[1], atol=tolerance, rtol=tolerance)

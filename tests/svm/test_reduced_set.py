@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import seeded
 
-from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.errors import ModelError, SettingsError
 from cgtorch.svm import SVR, fit_reduced_set
 from cgtorch.svm.rbf import rbf
-from cgtorch.svm.reduced_set import coreset, pivots
+from cgtorch.svm.reduced_set import _least_squares, coreset, pivots, shrink_to_coreset
 
 
 def test_each_centre_is_the_row_that_those_before_explain_least() -> None:
@@ -43,6 +43,55 @@ def test_more_centres_lose_less() -> None:
     assert losses == sorted(losses, reverse=True)
     with pytest.raises(SettingsError, match="8 rows"):
         fit_reduced_set(machine, 4, x[:7])
+
+
+@given(st.integers(1, 4), st.sampled_from([1e-6, 0.01, 1.0]), st.integers(0, 2**31))
+def test_weights_are_those_of_ridge_regression_with_a_free_bias(
+    outputs: int, ridge: float, seed: int
+) -> None:
+    draw = torch.randn(30, 5 + outputs, dtype=torch.float64, generator=seeded(seed))
+    design, truth = torch.nn.functional.pad(draw[:, :5], (0, 1), value=1.0), draw[:, 5:] + 3
+    penalty = ridge**2 * 30 * torch.eye(6, dtype=torch.float64)
+    penalty[5, 5] = 0
+    wanted = torch.linalg.solve(design.T @ design + penalty, design.T @ truth)
+    torch.testing.assert_close(_least_squares(design, truth, ridge), wanted, rtol=1e-6, atol=1e-8)
+
+
+def test_a_reduced_machine_is_no_solution_and_keeps_what_it_is_made_of() -> None:
+    x = rows(0, 60)[:, :2]
+    machine = SVR(5.0, gamma=0.3, epsilon=0.01).fit(x, (2 * x[:, 0]).sin())
+    small = fit_reduced_set(machine, 7, x)
+    picked = pivots(machine.centres, 0.3, 7)
+    assert torch.equal(small.centres, machine.centres[picked])
+    assert torch.equal(small.support, machine.support[picked])
+    assert small.gap.tolist() == [torch.inf]
+    assert float(small.gamma_value) == float(machine.gamma_value)
+    assert machine.gap.isfinite().all()
+    # Every centre, and a ridge that is nearly none, give the machine itself.
+    whole = fit_reduced_set(machine, 1000, x)
+    assert len(whole.centres) == len(pivots(machine.centres, 0.3, 1000))
+    torch.testing.assert_close(whole.predict(x), machine.predict(x), rtol=0, atol=1e-3)
+    fit_reduced_set(machine, 1, x[:8])
+    for centres, count in ((0, 60), (1, 7)):
+        with pytest.raises(SettingsError, match=f"not {centres} and {count}"):
+            fit_reduced_set(machine, centres, x[:count])
+    with pytest.raises(ModelError, match="has not been fitted"):
+        fit_reduced_set(SVR(), 3, x)
+
+
+def test_a_shrunken_machine_has_the_kept_centres_at_their_new_places() -> None:
+    x = rows(1, 50)[:, :2]
+    machine = SVR(5.0, gamma=0.3, epsilon=0.3).fit(x, (2 * x[:, 0]).sin())
+    support, weights = machine.support.clone(), machine.weights.clone()
+    assert 8 < len(support) < 50
+    for limit in (len(support) + 3, 8):
+        chosen = shrink_to_coreset(machine, x, limit)
+        assert len(chosen) == limit
+        x = x[chosen]
+        torch.testing.assert_close(machine.centres, x[machine.support])
+        kept = torch.isin(weights, machine.weights).squeeze(1)
+        assert torch.equal(machine.weights, weights[kept])
+        assert len(machine.support) == min(limit, len(support))
 
 
 @given(st.integers(1, 40), st.integers(1, 45), st.integers(0, 2**31))

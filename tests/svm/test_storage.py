@@ -69,6 +69,17 @@ def test_what_was_saved_is_what_is_loaded(model_file, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["one"]
 
 
+def test_a_file_says_what_it_holds_so_that_other_programs_can_read_it(model_file):
+    header = json.loads(notes_of(model_file[0].read_bytes())["cgtorch"])
+    assert header == {
+        "format": "cgtorch-model",
+        "version": 3,
+        "kind": "Scaled",
+        "settings": {"kernel": "rbf", "degree": 3, "coef0": 0.0},
+        "report": asdict(REPORT),
+    }
+
+
 def test_a_loaded_machine_learns_on_with_the_parameters_of_its_fit(tmp_path):
     x, y = labelled(120)
     order = torch.randperm(120, generator=torch.Generator().manual_seed(0))

@@ -39,6 +39,19 @@ static int f(const A *a, int n) {
   return -most;
 }
 """
+TRAINED = """
+import os
+from made_once import made_once, shared_folder
+
+def trained_run(tmp_path_factory):
+    return made_once(shared_folder(tmp_path_factory) / "trained", make_run)
+
+def make_run(path):
+    path.write_text("trained")
+    os.makedirs(os.environ["XDG_CACHE_HOME"], exist_ok=True)
+    with open(os.path.join(os.environ["XDG_CACHE_HOME"], "trained"), "a") as file:
+        file.write("once\\n")
+"""
 
 
 def test_what_changes_in_python() -> None:
@@ -142,9 +155,17 @@ def test_a_package_with_a_weak_test(tmp_path: Path) -> None:
         "cgtorch/room/tested.py": "def more(x):\n    return x + 1\n",
         "cgtorch/room/weak.py": "def less(x):\n    return x - 1\n",
         "cgtorch/room/known.py": "def half(x):\n    return x / 2\n",
+        "cgtorch/room/read.py": "def read(path):\n    return len(path.read_text()) + 1\n",
+        "tests/conftest.py": "",
+        "tests/trained.py": TRAINED,
         "tests/room/test_them.py": (
             "from cgtorch.room.tested import more\nfrom cgtorch.room.weak import less\n\n"
             "def test_more():\n    assert more(2) == 3\n\ndef test_less():\n    less(2)\n"
+        ),
+        "tests/room/test_read.py": (
+            "from cgtorch.room.read import read\nfrom trained import trained_run\n\n"
+            "def test_read(tmp_path_factory):\n"
+            "    assert read(trained_run(tmp_path_factory)) == 8\n"
         ),
     }
     for name, text in texts.items():
@@ -153,6 +174,7 @@ def test_a_package_with_a_weak_test(tmp_path: Path) -> None:
     tools = ROOT / "tools"
     shutil.copytree(tools / "mutants", tmp_path / "tools" / "mutants")
     shutil.copy(tools / "mutate.py", tmp_path / "tools")
+    shutil.copy(ROOT / "tests" / "made_once.py", tmp_path / "tests")
     about = {"file": "cgtorch/room/known.py", "old": "return x / 2"}
     known = [{**about, "new": new, "why": "a test"} for new in ("return x * 2", "return x / 3")]
     (tmp_path / "tools" / "mutants" / "equivalent.json").write_text(json.dumps(known))
@@ -163,11 +185,13 @@ def test_a_package_with_a_weak_test(tmp_path: Path) -> None:
         cwd=tmp_path, check=True, capture_output=True, text=True,
         env={"PATH": "/usr/bin:/bin", "XDG_CACHE_HOME": str(tmp_path / "cache")},
     ).stdout  # fmt: skip
-    assert done.splitlines()[-1].split() == ["room", "2", "1", "1", "50", "%"]
+    assert done.splitlines()[-1].split() == ["room", "3", "2", "1", "67", "%"]
     assert "SURVIVED 1 tests, last tests/room/test_them.py::test_less" in done
     (tally,) = json.loads(output.read_text())
     by = {trial["mutant"]["file"][13:]: trial for trial in tally["trials"]}
     assert by["tested.py"]["killed"]
     assert by["tested.py"]["by"] == "tests/room/test_them.py::test_more"
     assert not by["weak.py"]["killed"]
+    assert by["read.py"]["by"] == "tests/room/test_read.py::test_read"
+    assert (tmp_path / "cache" / "trained").read_text() == "once\n"
     assert {name: (tmp_path / name).read_text() for name in texts} == texts

@@ -1,12 +1,15 @@
 """Which lines of the package each test runs, and how long it takes."""
 
 import hashlib
+import importlib
 import json
 import os
 import resource
 import signal
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -17,6 +20,8 @@ from mutants.workshop import Workshop
 
 LONGEST = 3.0
 """Seconds of a CPU after which a test is ended, and is not among the closest."""
+MADE = {"trained": "make_run", "told_stage": "make_stage"}
+"""Modules of tests and functions that make what is shared, which has the module's name."""
 WAITING = 10
 """Seconds that a test may wait for each second that it may calculate."""
 
@@ -58,6 +63,23 @@ def recorded(shop: Workshop, file: str, cache: Path) -> list[Recording]:
         )
         for r in found.get("tests", [])
     ]
+
+
+def make_once(shop: Workshop) -> None:
+    """Make what many tests share and none of them could make in time."""
+    for module in MADE:
+        if (shop.root / "tests" / f"{module}.py").exists():
+            code = shop.forked(partial(_made, shop, module), 3600)
+            if code != 0:
+                raise RuntimeError(f"{module} cannot be made: {shop.log.read_text()[-2000:]}")
+
+
+def _made(shop: Workshop, module: str) -> int:
+    sys.path.insert(0, str(shop.root / "tests"))
+    from made_once import made_once
+
+    made_once(shop.made / module, getattr(importlib.import_module(module), MADE[module]))
+    return 0
 
 
 def _hash(path: Path) -> str:

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -43,17 +44,20 @@ class Workshop:
     Attributes:
         root: The copy.
         work: An empty folder for anything else.
+        made: What tests share that takes long to make; each process gets a copy.
+        log: What the latest process printed.
     """
 
     def __init__(self, source: Path, folder: Path) -> None:
         self.root, self.work, self._stamp = folder / "copy", folder / "work", time.time()
+        self.made, self.log = self.work / "made", self.work / "log"
         listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
         known = subprocess.run(listed, cwd=source, check=True, capture_output=True).stdout
         for name in filter(None, known.decode().split("\0")):
             if (source / name).is_file():
                 (self.root / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(source / name, self.root / name)
-        self.work.mkdir()
+        self.made.mkdir(parents=True)
         (self.work / "temporary").mkdir()
         for name in common_modules(self.root):
             with suppress(ImportError):
@@ -91,16 +95,22 @@ class Workshop:
         try:
             os.setsid()
             resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
-            with Path(os.devnull).open("r+b") as nothing, (self.work / "log").open("wb") as log:
+            with Path(os.devnull).open("r+b") as nothing, self.log.open("wb") as log:
                 os.dup2(nothing.fileno(), 0)
                 os.dup2(log.fileno(), 1)
                 os.dup2(log.fileno(), 2)
             os.chdir(self.root)
-            os.environ.update(PYTHONPATH=str(self.root), TMPDIR=str(self.work / "temporary"))
+            temporary = self.work / "temporary"
+            made = shutil.copytree(self.made, temporary / "made")
+            os.environ.update(
+                PYTHONPATH=str(self.root), TMPDIR=str(temporary), CGTORCH_MADE_ONCE=str(made)
+            )
             os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
             sys.dont_write_bytecode = False
             sys.path.insert(0, str(self.root))
             code = job()
+        except BaseException:
+            traceback.print_exc()
         finally:
             sys.stdout.flush()
             os._exit(code)
