@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 D = TypeVar("D")
 """The domain of files."""
@@ -13,14 +13,17 @@ class Files(Generic[D]):
 
     Attributes:
         domain: The domain.
+        names: The names of files and folders that `write` makes.
     """
+
+    names: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, domain: D) -> None:
         """The files of a domain."""
         self.domain = domain
 
     def write(self, folder: Path) -> None:
-        """Store in a run's folder what the domain needs besides its settings."""
+        """Store in a run's folder what the domain needs besides its settings, or replace it."""
 
     @classmethod
     def read(cls, kind: type[D], settings: Any, folder: Path) -> D:

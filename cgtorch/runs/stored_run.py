@@ -194,10 +194,10 @@ def planned_run(
     return run
 
 
-def only_begun(folder: Path) -> bool:
+def only_begun(run: StoredRun) -> bool:
     """Whether a run has produced nothing yet, so other settings would lose nothing."""
-    names = [path.name for path in folder.iterdir()]
-    return all(name in ("run.json", WRITER) or ".tfevents." in name for name in names)
+    names, known = (path.name for path in run.folder.iterdir()), ("run.json", WRITER)
+    return all(name in (*known, *run.files.names) or ".tfevents." in name for name in names)
 
 
 def write_run(run: StoredRun) -> None:

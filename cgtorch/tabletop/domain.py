@@ -145,9 +145,11 @@ class TabletopModels(Models["Tabletop"]):
 class RobotFiles(Files["Tabletop"]):
     """The robot's URDF, with shapes in place of meshes, and its description."""
 
+    names = ("robot",)
+
     def write(self, folder: Path) -> None:
         """See `Files.write`."""
-        (folder / "robot").mkdir()
+        (folder / "robot").mkdir(exist_ok=True)
         urdf, words = (
             read_bytes(source, MAX_BYTES, RobotError) for source in self.domain.robot_files()
         )

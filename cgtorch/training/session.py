@@ -133,7 +133,7 @@ def begun(
         if not (new := ranks.broadcast(not (folder / "run.json").is_file())):
             writer.enter_context(sole_writer(folder))
             run = read_run(folder, *about)
-        if run is None or ranks.broadcast(only_begun(folder) and run.all_settings() != given):
+        if run is None or ranks.broadcast(only_begun(run) and run.all_settings() != given):
             # On every rank, as they share what the world has to compute.
             run = planned_run(folder, settings, domain_settings, anew=not new, domain=domain)
             _stage(run, request, {})

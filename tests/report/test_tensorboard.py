@@ -226,16 +226,6 @@ def test_a_run_goes_on_where_it_ended(events: list[Event], tmp_path: Path) -> No
     assert [p.step for p in found.Images("scenarios/solved")] == [10]
 
 
-def test_what_a_checkpoint_will_count_on_is_in_the_file_before(
-    events: list[Event], tmp_path: Path
-) -> None:
-    generations = [e for e in events if isinstance(e, GenerationDone)]
-    with drawing(tmp_path, SETTINGS) as watch:
-        for event in [events[0], *generations[:3], AboutToKeep()]:
-            watch(event)
-        assert [s.step for s in read(tmp_path).Scalars("fitness/best")] == [0, 1, 2]
-
-
 def test_what_is_recalled_is_not_written_twice(events: list[Event], tmp_path: Path) -> None:
     """Ten generations are told, then recalled as eight: two of them are evaluated again."""
     generations = [e for e in events if isinstance(e, GenerationDone)]

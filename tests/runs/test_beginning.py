@@ -130,14 +130,23 @@ def test_a_run_does_not_replace_what_is_there(
 def test_a_run_that_has_produced_nothing_may_begin_again(tmp_path: Path) -> None:
     settings = RunSettings(domain="rewarded_cart:RewardedCart", models="none")
     cart, folder = RewardedCart(DomainSettings()), tmp_path / "run"
-    write_run(planned_run(folder, settings, domain=cart))
+    write_run(run := planned_run(folder, settings, domain=cart))
     (folder / "events.out.tfevents.1").touch()
     (folder / WRITER).touch()
-    assert only_begun(folder)
+    assert only_begun(run)
     write_run(planned_run(folder, replace(settings, seed=5), anew=True, domain=cart))
     assert read_run(folder, domain=cart).settings.seed == 5
     (folder / "log.jsonl").touch()
-    assert not only_begun(folder)
+    assert not only_begun(run)
+
+
+def test_a_tabletop_that_has_produced_nothing_may_begin_with_another_robot(tmp_path: Path) -> None:
+    write_run(run := planned_run(folder := tmp_path / "run", SMALL))
+    assert only_begun(run)
+    write_run(planned_run(folder, SMALL, TabletopSettings(robot="fetch"), anew=True))
+    assert "fetch" in (folder / "robot" / "robot.urdf").read_text().lower()
+    (folder / "start").mkdir()
+    assert not only_begun(run)
 
 
 def test_a_run_is_opened_with_what_it_was_begun_with(trained: Trained) -> None:
