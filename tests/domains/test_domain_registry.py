@@ -18,6 +18,7 @@ from cgtorch.domains.registry import (
     known_names,
     make_domain,
     settings_class,
+    spec_of,
     with_name,
 )
 from cgtorch.domains.settings import DomainSettings
@@ -55,6 +56,18 @@ def test_settings_are_found_without_torch() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["TabletopSettings", "GymnasiumSettings", "False"]
+
+
+@pytest.mark.parametrize("given", [3, None, int, RailSettings()])
+def test_other_objects_are_no_domains(given: Any) -> None:
+    said = "; give a name, a Domain or RobotDriver, or a class of one"
+    assert refused(spec_of, given).endswith(said)
+
+
+def test_settings_that_are_only_declared_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Cart, "settings_type", DomainSettings)
+    monkeypatch.setitem(Cart.__annotations__, "settings", RailSettings)
+    assert "declares its settings but has no settings_type" in refused(settings_class, "rail:Cart")
 
 
 def test_a_class_of_ones_own_is_code() -> None:
