@@ -55,6 +55,17 @@ class Plain:
         return lanes, torch.sigmoid(lanes.percept[:, 0])
 
 
+class Blind(Plain):
+    """Percepts that are no numbers, and no success."""
+
+    def start(self, scenario: Tensor) -> Any:
+        state, percept = super().start(scenario)
+        return state, percept * torch.nan
+
+    def success(self, lanes: Lanes) -> Any:
+        return lanes, torch.zeros(len(lanes))
+
+
 def test_good_environments_pass() -> None:
     own: Environment = Plain()
     double = torch.float64
@@ -92,14 +103,7 @@ def test_what_differs_when_it_is_asked_again_does_not_repeat_itself(
 
 
 def test_what_is_no_number_twice_is_the_same() -> None:
-    def blind(self: Any, scenario: Tensor) -> Any:
-        state, percept = Plain.start(self, scenario)
-        return state, percept * torch.nan
-
-    def never(self: Any, lanes: Lanes) -> Any:
-        return lanes, torch.zeros(len(lanes))
-
-    assert repeats_itself(type("Own", (Plain,), {"start": blind, "success": never})())
+    assert repeats_itself(Blind())
 
 
 def doubled(lanes: Lanes) -> Lanes:
@@ -298,19 +302,12 @@ def test_what_a_check_begins_with_has_a_message_and_no_memory() -> None:
 
 
 def test_percepts_that_are_no_numbers_are_not_taken_for_changed_ones() -> None:
-    def blind(self: Any, scenario: Tensor) -> Any:
-        state, percept = Plain.start(self, scenario)
-        return state, percept * torch.nan
-
-    def success(self: Any, lanes: Lanes) -> Any:
-        return lanes, torch.zeros(len(lanes))
-
     def seeing(self: Any, lanes: Lanes) -> Any:
         lanes.percept[:] = 0
         return lanes
 
-    check_environment(type("Own", (Plain,), {"start": blind, "success": success})())
-    bad = type("Own", (Plain,), {"start": blind, "success": success, "observe": seeing})()
+    check_environment(Blind())
+    bad = type("Own", (Blind,), {"observe": seeing})()
     with pytest.raises(WorldError, match=r"changed lanes\.percept in place"):
         check_environment(bad)
 
