@@ -62,7 +62,7 @@ class Tally:
 )  # fmt: skip
 @click.option("--count", default=40, show_default=True, help="Lines of a room.")
 @click.option("--seed", default=1, show_default=True, help="Of the lines and changes.")
-@click.option("--seconds", default=8.0, show_default=True, help="Usual time of a mutant's tests.")
+@click.option("--seconds", default=30.0, show_default=True, help="Usual time of a mutant's tests.")
 @click.option("--output", type=click.Path(path_type=Path), help="Where results go as JSON.")
 def command(
     chosen: tuple[str, ...], count: int, seed: int, seconds: float, output: Path | None

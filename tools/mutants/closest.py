@@ -1,8 +1,8 @@
 """Which tests are closest to a changed line.
 
-The tests of the folder that mirrors the file's come first. Only where none of them runs the line
-do those elsewhere follow that name the file's module. What runs is known from recordings. A C file
-is run by whoever runs a line of Python that names one of its functions.
+The tests of the folder that mirrors the file's come first, and then those elsewhere that name the
+file's module. What runs is known from recordings. A C file is run by whoever runs a line of Python
+that names one of its functions.
 """
 
 import re
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mutants.recording import Recording
 
-ELSEWHERE = 4
+ELSEWHERE = 6
 """Test files of other folders that are tried."""
 _EXPORTED = re.compile(r"^int (\w+)\(", re.MULTILINE)
 _INCLUDED = re.compile(r'^\s*#\s*include "([^"]+)"', re.MULTILINE)
@@ -19,13 +19,17 @@ Recorded = Callable[[str], list[Recording]]
 
 
 def closest(root: Path, file: str, line: int, recorded: Recorded, budget: float) -> list[Recording]:
-    """Tests that run a line, then those that run its file, the fastest first, within a budget."""
+    """Tests that run a line, then those near that run its file, within a budget of seconds.
+
+    Of each, the fastest come first.
+    """
     places = {(file, line)} if file.endswith(".py") else set(callers(root, file))
-    near = [r for folder in folders(root, places) for path in folder for r in recorded(path)]
-    if not _ordered(near, places)[0]:
-        near += [r for path in naming(root, {f for f, _ in places}) for r in recorded(path)]
-    found, spent = [], 0.0
-    for recording in [test for group in _ordered(near, places) for test in group]:
+    near = [path for folder in folders(root, places) for path in folder]
+    far = [path for path in naming(root, {f for f, _ in places}) if path not in near]
+    run, read = _ordered([r for path in near for r in recorded(path)], places)
+    elsewhere, _ = _ordered([r for path in far for r in recorded(path)], places)
+    found, spent = list[Recording](), 0.0
+    for recording in [*run, *elsewhere, *read]:
         if spent + recording.seconds <= budget or not found:
             found.append(recording)
             spent += recording.seconds

@@ -18,7 +18,7 @@ import pytest
 
 from mutants.workshop import Workshop
 
-LONGEST = 3.0
+LONGEST = 10.0
 """Seconds of a CPU after which a test is ended, and is not among the closest."""
 MADE = {"trained": "make_run", "told_stage": "make_stage"}
 """Modules of tests and functions that make what is shared, which has the module's name."""
