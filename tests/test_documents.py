@@ -194,7 +194,7 @@ def test_a_program_trains_and_acts(
     """It drives once and grasps; a percept that never changes would do for any robot."""
     left = ran("door.py", tmp_path, monkeypatch)
     first, *rest = capsys.readouterr().out.splitlines()
-    assert first == f"S1 {left['run'].evaluate(50, scenarios='left').successes}"
+    assert first == f"S0 {left['run'].evaluate(50, scenarios='near').successes}"
     assert int(first.split()[1]) > 40
     assert rest[0].startswith("control MoveBase (")
     assert rest[-1] == "test Grasp ()"

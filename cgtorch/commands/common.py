@@ -227,9 +227,14 @@ def output_option(what: str) -> Callable[[F], F]:
 
 
 def check_output(output: Path, force: bool) -> None:
-    """RunError if the output is a folder, or a file that must not be replaced."""
+    """RunError if the output is a folder, is in none, or is a file that must not be replaced."""
     if output.is_dir():
         raise RunError(f"{str(output)!r} is a folder; choose another --output")
+    if not output.parent.is_dir():
+        raise RunError(
+            f"{str(output.parent)!r} is no folder, so {str(output)!r} cannot be written; "
+            "make it, or choose another --output"
+        )
     if output.exists() and not force:
         raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
 

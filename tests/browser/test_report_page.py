@@ -96,6 +96,7 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
+@pytest.mark.hostile
 def test_hostile_names_do_nothing(chromium: Browser, tmp_path: Path) -> None:
     path = tmp_path / "hostile.html"
     path.write_bytes(report_page(read_run(hostile_run(tmp_path))))

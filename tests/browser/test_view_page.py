@@ -120,6 +120,7 @@ def far_down(chromium: Browser, tmp_path: Path) -> Iterator[Visit]:
         yield opened
 
 
+@pytest.mark.hostile
 def test_the_active_node_is_lit_on_every_level(far_down: Visit) -> None:
     page = far_down.page
     levels = page.locator(".graph-levels svg")
@@ -202,7 +203,7 @@ def test_a_strangers_skill_runs_no_script_and_his_page_sees_nothing(
     path, name = tmp_path / "skill.json", '<iframe srcdoc="<script>parent.hit=1</script>"></iframe>'
     save_skill(path, replace(skill, name=f"{name}**<b>x</b>**"))
     with served("cgtorch.commands.view", str(path), "--port", "0") as url:
-        with visit(chromium, url + COARSE, 1600, 900) as at:
+        with visit(chromium, url + COARSE, 800, 600) as at:
             expect(headline(at.page)).to_contain_text("step 1 of")
             expect(at.page.get_by_text(name).first).to_be_attached()
             at.page.wait_for_timeout(2000)

@@ -67,6 +67,7 @@ def data_of(logged: Path, run: str = "second", part: str = "start") -> Dataset:
     return stored_data(logged / run, part, domain=DOMAIN)[2]
 
 
+@pytest.mark.hostile
 def test_a_run_from_a_file_alone(shell: Shell, logged: Path) -> None:
     words = [TRAIN, *CART, *QUICK, *ALONE, "--run-dir", "second", "--seed", "5"]
     shell.does(*words)

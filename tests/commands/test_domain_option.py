@@ -335,7 +335,9 @@ class Glass(Cart):
 """
 
 
-@pytest.mark.parametrize("error", ["IndexError", "SystemExit"])
+@pytest.mark.parametrize(
+    "error", ["IndexError", pytest.param("SystemExit", marks=pytest.mark.hostile)]
+)
 def test_an_error_in_a_domain_is_one_line_whenever_it_happens(tmp_path: Path, error: str) -> None:
     (tmp_path / "own_cart.py").write_text(EXAMPLE)
     (tmp_path / "late.py").write_text(LATE.format(error))

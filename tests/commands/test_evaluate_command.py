@@ -78,6 +78,7 @@ def test_a_run_and_its_stages(
     assert listing(trained.folder) == before
 
 
+@pytest.mark.hostile
 def test_why_a_skill_fails(shell: Shell, trained: Trained, tmp_path: Path) -> None:
     words = trained.folder, "--count", 8, "--scenarios", "far", "--failures", tmp_path / "why"
     ended = shell.does(EVALUATE, *words)

@@ -145,7 +145,7 @@ def test_an_action_of_ones_own(shell: Shell, tmp_path: Path) -> None:
         ((REFERENCE, "--format", "png", "--output", "x"), "'png' is not one of"),
         ((REFERENCE, "--format", "json"), "Missing option '--output'"),
         ((REFERENCE, "--output", "x"), "Missing option '--format'"),
-        ((REFERENCE, "--format", "json", "--output", "no/where/x"), "where"),
+        ((REFERENCE, "--format", "json", "--output", "no/where/x"), "'no/where' is no folder"),
         ((REFERENCE, "--format", "json", "--output", "x", "--skill", "S9"), "S9"),
         ((REFERENCE / "run.json", "--format", "json", "--output", "x"), "not a skill file"),
         ((SKILL, "--format", "dot", "--output", "x", "--scenarios", "moon"), "moon"),

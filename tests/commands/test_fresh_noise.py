@@ -74,6 +74,7 @@ def test_rounds_end_with_a_skill_that_has_met_each_placement_once(
     assert "auto-1 on perimeter" not in ended.out
 
 
+@pytest.mark.hostile
 def test_a_stage_tries_its_tests_once_and_goes_on(
     shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -62,6 +62,7 @@ def trained(folder: Path, *words: str) -> Ended:
     return in_a_shell(TRAIN, *about, *words, folder=folder)
 
 
+@pytest.mark.hostile
 def test_any_number_of_processes_gives_the_same_files_and_says_the_same_once(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,7 +54,7 @@ def test_a_run_that_was_interrupted(shell: Shell, tmp_path: Path, trained: Train
         ((REFERENCE / "S0", "--output", "x"), "is no run"),
         ((REFERENCE,), "Missing option '--output'"),
         (("--output", "x"), "Missing argument 'RUN'"),
-        (("run", "--output", "no/where/x"), "where"),
+        (("run", "--output", "no/where/x"), "'no/where' is no folder"),
         ((REFERENCE, "--output", "."), "is a folder; choose another --output"),
         ((REFERENCE, "--output", "x", "--actions", "Wait"), "was begun without action 'Wait'"),
     ],

@@ -82,6 +82,7 @@ def same(one: dict[str, Tensor], other: dict[str, Tensor]) -> bool:
     return one.keys() == other.keys() and all(one[name].equal(other[name]) for name in one)
 
 
+@pytest.mark.hostile
 def test_a_stage_in_the_middle_is_made_again_under_what_was_taken_over(
     shell: Shell, trained: Trained, tmp_path: Path
 ) -> None:

@@ -51,6 +51,7 @@ trial.Recording = Never
 '''
 
 
+@pytest.mark.hostile
 def test_a_run_that_gives_up_can_be_told_by_its_exit_code(tmp_path: Path) -> None:
     """A fresh run says what it makes; what it has made is kept.
 

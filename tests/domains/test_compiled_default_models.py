@@ -46,7 +46,7 @@ def assert_same(found: Rollouts, wanted: Rollouts) -> None:
     nested=st.booleans(),
     errors=st.booleans(),
 )
-@settings(max_examples=60)
+@settings(max_examples=20)
 def test_compiled_rollouts_are_those_of_the_engine_in_torch(
     seed: int, domain: str, hidden: int, nested: bool, errors: bool
 ) -> None:

@@ -232,7 +232,7 @@ CELLS = st.sampled_from(
 
 
 @given(st.lists(st.lists(CELLS, min_size=4, max_size=7), max_size=4))
-@settings(max_examples=200)
+@settings(max_examples=80)
 def test_any_cells_are_data_or_refused(
     tmp_path_factory: pytest.TempPathFactory, rows: list[list[str]]
 ) -> None:

@@ -134,7 +134,7 @@ def decaying(start: float = 100.0, by: float = 0.5) -> Callable[[Dataset], Any]:
     return fits(*(start * by**i + 1 for i in range(60)))
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(
     most=st.integers(1, 120),
     lanes=st.integers(1, 4),
@@ -172,7 +172,7 @@ def test_data_are_true_and_paid_and_no_more_than_one_part_too_many(
     assert torch.equal(data.succeeded, world.succeeded(data.tested))
 
 
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(st.lists(st.floats(0.05, 3), min_size=1, max_size=6), st.booleans(), st.integers(0, 2**31))
 def test_it_ends_as_soon_as_more_would_hardly_help(
     errors: list[float], believed: bool, seed: int

@@ -172,7 +172,7 @@ def test_few_rows_of_one_class_are_shared_by_fewer_folds(
 
 
 @given(st.integers(2, 7), st.integers(2, 12), st.integers(0, 99), st.integers(5, 40))
-@settings(max_examples=60)
+@settings(max_examples=25)
 def test_any_few_rows_of_either_class_can_be_learned_from(
     met: int, missed: int, seed: int, grid_rows: int
 ) -> None:

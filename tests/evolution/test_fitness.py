@@ -130,7 +130,7 @@ def assert_same(found: Evaluation, wanted: Evaluation) -> None:
     limit=st.integers(1, 20),
     broken=st.booleans(),
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_compiled_fitness_is_that_of_torch(
     seed: int, actions: ActionSet, share: float, limit: int, broken: bool
 ) -> None:

@@ -125,7 +125,7 @@ def test_mermaid_line_by_line(skill: Skill) -> None:
 names = st.text(min_size=1, max_size=20)
 
 
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(names, names, names)
 def test_whatever_the_names_the_drawings_can_be_read(one: str, two: str, three: str) -> None:
     base = custom_actions()

@@ -31,7 +31,7 @@ from cgtorch.tabletop.actions import Grasp, MoveBase, paper_actions
 seeds = st.integers(0, 2**31 - 1)
 
 
-@settings(max_examples=12)
+@settings(max_examples=5)
 @given(seeds, st.sampled_from([400, 7, 1]), st.integers(1, 20))
 def test_skills_in_skills_with_memory_and_messages(seed: int, steps: int, most: int) -> None:
     skill = random_skill(seed, "S2", nested_actions(seed), max_transitions=most)
@@ -42,7 +42,7 @@ def test_skills_in_skills_with_memory_and_messages(seed: int, steps: int, most: 
         assert_same(by_steps(step, step.about(), environment, scenario), run)
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(seeds)
 def test_two_actions_with_memory_of_their_own(seed: int) -> None:
     base = nested_actions(seed, custom_actions().extended(["Visits"], [Visits()]))

@@ -50,7 +50,7 @@ def doubled(graphs: Graphs, seed: int) -> Graphs:
 
 
 @given(st.integers(0, 2**31), ANY)
-@settings(max_examples=30)
+@settings(max_examples=12)
 def test_runs_do_not_change(seed: int, actions: ActionSet) -> None:
     graphs = doubled(random_graphs(seed, 8, actions), seed)
     for place in (world(seed, 6), model(seed, 6)):
@@ -60,7 +60,7 @@ def test_runs_do_not_change(seed: int, actions: ActionSet) -> None:
 
 
 @given(st.integers(0, 2**31), ANY)
-@settings(max_examples=30)
+@settings(max_examples=12)
 def test_graphs_never_grow_and_stay_valid(seed: int, actions: ActionSet) -> None:
     graphs = random_graphs(seed, 20, actions)
     small = merged(graphs)
@@ -87,7 +87,7 @@ def told_apart(graphs: Graphs, index: int) -> int:
 
 
 @given(st.integers(0, 2**31), ANY)
-@settings(max_examples=30)
+@settings(max_examples=12)
 def test_as_few_nodes_as_pairs_that_are_told_apart(seed: int, actions: ActionSet) -> None:
     graphs = doubled(random_graphs(seed, 4, actions), seed)
     found = merged(graphs).num_nodes.tolist()
@@ -120,7 +120,7 @@ def test_parameters_are_compared_to_the_last_bit() -> None:
 
 
 @given(st.integers(0, 2**31), st.sampled_from(SETS))
-@settings(max_examples=30)
+@settings(max_examples=12)
 def test_a_skill_behaves_as_its_copy_under_another_name(seed: int, actions: ActionSet) -> None:
     one = random_skill(seed, "one", actions)
     order = torch.randperm(one.graph.capacity, generator=seeded(seed))

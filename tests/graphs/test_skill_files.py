@@ -299,7 +299,7 @@ def attempt(read: Callable[[], Skill]) -> None:
 
 
 @given(st.data())
-@settings(max_examples=600)
+@settings(max_examples=200)
 def test_damaged_files_end_in_a_typed_error(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
@@ -336,7 +336,7 @@ values = st.recursive(
 
 
 @given(st.data())
-@settings(max_examples=600)
+@settings(max_examples=200)
 def test_wrong_data_anywhere_end_in_a_typed_error(data: st.DataObject) -> None:
     root: Any = [copy.deepcopy(GOOD)]
     place, key = root, 0

@@ -199,6 +199,7 @@ def test_what_is_found_is_told_with_its_result_on_the_tests() -> None:
     assert (again.skill is named.skill) is (not of_kind(told, SkillAccepted))
 
 
+@pytest.mark.hostile
 def test_an_earlier_skill_stays_unless_another_is_better() -> None:
     best = staking(1.0, name="earlier")
     told: list[Event] = []

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -157,6 +158,7 @@ def test_who_fails_alone_fails_in_a_team_that_is_not_corrected() -> None:
     assert try_skill(corrected, world_of(scenarios)).succeeded[own].all()
 
 
+@pytest.mark.hostile
 def test_a_stage_that_remembers_keeps_w_and_asks_for_less() -> None:
     """The same search, and W of an earlier stage; only what may have changed is tried again."""
     base = stage_scenarios("near")
@@ -183,6 +185,7 @@ def test_a_stage_that_remembers_keeps_w_and_asks_for_less() -> None:
     assert counts[1] < counts[0] / 2
 
 
+@pytest.mark.hostile
 def test_what_earlier_stages_missed_is_handed_on_but_not_tried() -> None:
     scenarios, far = stage_scenarios("near"), stage_scenarios("far")
     skill = MEMBERS[0]

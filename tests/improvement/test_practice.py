@@ -53,7 +53,7 @@ def drawing(bad: set[int], drawn: list[int]) -> Callable[[int, Generator], Scena
     return draw
 
 
-@settings(max_examples=40)
+@settings(max_examples=12)
 @given(st.integers(0, 70), st.sets(st.integers(0, 120), max_size=6), st.integers(1, 9))
 def test_so_many_are_solved_in_a_row(practice: int, bad: set[int], attempts: int) -> None:
     """In batches that double, and from the beginning once one fails."""
@@ -89,7 +89,7 @@ def test_so_many_are_solved_in_a_row(practice: int, bad: set[int], attempts: int
         assert len(after.solved) == met - failed
 
 
-@settings(max_examples=15)
+@settings(max_examples=6)
 @given(
     st.integers(0, 20),
     st.sets(st.integers(0, 50), max_size=9),

@@ -53,6 +53,7 @@ def test_nothing_repeats_its_noise() -> None:
     assert torch.equal(*(first_percepts(world_of(scenarios)) for _ in range(2)))
 
 
+@pytest.mark.hostile
 def test_no_scenario_is_tried_twice(setup: Setup, nothing_yet: Progress) -> None:
     """Neither in its own stage nor in a later one, and none that was only looked at."""
     watched, progress = Watched(unrepeatable), nothing_yet

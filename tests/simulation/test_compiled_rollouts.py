@@ -101,7 +101,7 @@ def equal(first: Rollouts, second: Rollouts) -> bool:
     steps=st.integers(1, 60),
     errors=st.booleans(),
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_compiled_rollouts_are_those_of_the_engine(
     seed: int, scene: tuple[str, int], which: int, limit: int, steps: int, errors: bool
 ) -> None:
@@ -150,7 +150,7 @@ def test_what_cannot_be_counted_runs_in_torch() -> None:
     outcomes=st.integers(0, 2),
     count=st.integers(0, 12),
 )
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_slots_that_nothing_uses_and_strides_change_nothing(
     seed: int, which: int, nodes: int, outcomes: int, count: int
 ) -> None:
@@ -211,7 +211,7 @@ def test_no_number_of_threads_changes_anything() -> None:
     single=st.booleans(),
     count=st.integers(1, 37),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_no_lane_depends_on_others_to_the_bit(
     seed: int, scene: tuple[str, int], which: int, single: bool, count: int
 ) -> None:

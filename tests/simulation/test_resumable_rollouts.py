@@ -80,7 +80,7 @@ def assert_same(found: Rollouts, wanted: Rollouts, within: float) -> None:
     in_world=st.booleans(),
     limits=st.tuples(st.integers(1, 20), st.integers(1, 60)),
 )
-@settings(max_examples=40)
+@settings(max_examples=15)
 def test_own_actions_do_what_they_do_in_torch(
     seed: int, actions: ActionSet, in_world: bool, limits: tuple[int, int]
 ) -> None:
@@ -93,7 +93,7 @@ def test_own_actions_do_what_they_do_in_torch(
 
 
 @given(seed=st.integers(0, 2**31), scene=st.sampled_from([("box", 0), ("box", 1), ("yaw", 3)]))
-@settings(max_examples=20)
+@settings(max_examples=10)
 def test_where_nothing_needs_python_both_ways_give_the_same_bits(
     seed: int, scene: tuple[str, int]
 ) -> None:

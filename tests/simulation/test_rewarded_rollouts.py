@@ -75,7 +75,7 @@ def expected(
     limit=st.integers(1, 30),
     steps=st.integers(1, MOST_IDLE),
 )
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_lanes_end_with_their_episodes_and_no_others_change(
     seed: int, actions: ActionSet, limit: int, steps: int
 ) -> None:
@@ -154,7 +154,7 @@ def test_returns_that_are_not_finite_are_told(bad: float, trace: Trace | None) -
 
 
 @given(st.integers(0, 2**31), st.sampled_from(SETS))
-@settings(max_examples=20)
+@settings(max_examples=10)
 def test_a_result_does_not_depend_on_the_rest_of_the_batch(seed: int, actions: ActionSet) -> None:
     graphs, place = random_graphs(seed, 12, actions), path(seed, 8)
     everything = rollout(graphs, actions, place)

@@ -76,7 +76,7 @@ def compare(
     limit=st.integers(1, 20),
     steps=st.integers(1, 40),
 )
-@settings(max_examples=35)
+@settings(max_examples=15)
 def test_engine_equals_the_interpreter(
     place: str, seed: int, actions: ActionSet, limit: int, steps: int
 ) -> None:
@@ -100,7 +100,7 @@ def test_the_comparison_meets_every_end(place: str) -> None:
     actions=st.sampled_from(PLAIN_SETS),
     place=st.sampled_from(list(ENVIRONMENTS)),
 )
-@settings(max_examples=30)
+@settings(max_examples=15)
 def test_a_result_does_not_depend_on_the_rest_of_the_batch(
     seed: int, actions: ActionSet, place: str
 ) -> None:

@@ -74,7 +74,7 @@ def rising(gram: Gram, problems: Problems, tolerance: float) -> State:
     duplicates=st.booleans(),
     constant=st.booleans(),
 )
-@settings(max_examples=80)
+@settings(max_examples=30)
 def test_solutions_are_optimal(seed, n, exponent, gamma, epsilon, duplicates, constant):
     """KKT conditions within what the gap allows, straight from the definition."""
     x = rows(seed, n, duplicates)
@@ -105,7 +105,7 @@ def test_solutions_are_optimal(seed, n, exponent, gamma, epsilon, duplicates, co
     epsilon=st.sampled_from([None, 0.0, 0.05, 0.5]),
     duplicates=st.booleans(),
 )
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_solutions_are_those_of_plain_smo(seed, n, gamma, epsilon, duplicates):
     x = rows(seed, n, duplicates)
     problems, gram = all_folds(x, epsilon), Gram(x, gamma)

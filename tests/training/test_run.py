@@ -117,6 +117,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.hostile
 def test_another_program_opens_a_run_of_a_domain_in_a_program(tmp_path: Path) -> None:
     """The run remembers the file in place of `__main__`, which is another one each time."""
     (tmp_path / "driving.py").write_text(CART.read_text() + PROGRAM)
@@ -204,6 +205,7 @@ def test_a_robot_is_trained_and_goes_on(tmp_path: Path) -> None:
     assert len(again.stages) >= len(run.stages)
 
 
+@pytest.mark.hostile
 def test_a_run_resumes_with_more(whole: cgtorch.Run) -> None:
     run = whole
     more = run.resume(quiet=True, rounds=2, target=0.999, population=41)

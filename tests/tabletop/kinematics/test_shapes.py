@@ -51,7 +51,7 @@ def random_mesh(seed, kind):
     return trimesh.Trimesh(size * points, faces, process=False)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["cloud", "boxes", "flat", "line", "point"]))
 def test_every_vertex_and_all_of_the_surface_lie_inside(seed, kind):
     mesh = random_mesh(seed, kind)

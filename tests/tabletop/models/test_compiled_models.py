@@ -25,7 +25,7 @@ FLOATS = {torch.float32: 1e-4, torch.float64: 1e-11}
     outputs=st.integers(1, 9),
     dtype=st.sampled_from(list(FLOATS)),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_values_are_those_of_the_definition(
     seed: int, rows: int, centres: int, features: int, outputs: int, dtype: torch.dtype
 ) -> None:

@@ -51,6 +51,7 @@ def test_a_folder_is_made_and_serves_without_the_meshes(urdf, tmp_path):
     assert int(made.reached.grasps.sum()) >= 6
 
 
+@pytest.mark.hostile
 def test_a_run_carries_the_robot_without_the_meshes(urdf, tmp_path, monkeypatch):
     make_robot_folder(urdf, tmp_path / "mine")
     words = tmp_path / "words.json"

@@ -44,7 +44,7 @@ def swept(motion: tuple[float, ...], grown: float) -> Polygon:
     st.tuples(metres, metres, angles, st.floats(0.4, 1.3), st.floats(0.4, 1.3)),
     st.sampled_from([0.0, 0.02]),
 )
-@settings(max_examples=300)
+@settings(max_examples=100)
 def test_a_sweep_is_blocked_where_it_touches(
     motion: tuple[float, ...], rectangle: tuple[float, ...], clearance: float
 ) -> None:
