@@ -45,14 +45,13 @@ class FetchSimulator(Simulator):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self.environment: Any = gymnasium.make(task).unwrapped
-        self._at = np.zeros(3)
         self.states = MujocoStates(self.environment, self._reset, self._tried)
 
     def _reset(self, seed: int) -> Any:
         return self.environment.reset(seed=seed)[0]
 
     def _tried(self, number: int) -> Any:
-        return self.environment.step(np.sin(np.arange(1, 5) * (number + 1.0)))[:2]
+        return self.environment.step(self.probing(number))[:2]
 
     def perceive(self, observation: Any) -> Floats:
         """See `Simulator.perceive`; without an object, the hand is in its place."""
