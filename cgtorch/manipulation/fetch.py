@@ -1,6 +1,5 @@
 """Gymnasium-Robotics' four tasks of a Fetch arm (Plappert et al. 2018)."""
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -42,9 +41,7 @@ class FetchSimulator(Simulator):
 
         super().__init__(horizon)
         gymnasium.register_envs(gymnasium_robotics)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            self.environment: Any = gymnasium.make(task).unwrapped
+        self.environment: Any = gymnasium.make(task).unwrapped
         self.states = MujocoStates(self.environment, self._reset, self._tried)
 
     def _reset(self, seed: int) -> Any:
