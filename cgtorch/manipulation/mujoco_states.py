@@ -170,9 +170,7 @@ def _arrays(model: Any) -> list[str]:
 
 def _numbers(environment: Any) -> dict[str, Any]:
     """Copies of an environment's own attributes that are numbers or arrays of numbers."""
-    return {
-        name: _copy(value) for name, value in vars(environment).items() if _is_number(value)
-    }
+    return {name: _copy(value) for name, value in vars(environment).items() if _is_number(value)}
 
 
 def _is_number(value: Any) -> bool:

@@ -47,7 +47,8 @@ def test_low_level_steps_are_filmed_once_and_not_counted(monkeypatch: Any) -> No
     skill = Skill("reach", chain(domain, ("ReachGoal", (0.0,) * 3)), domain.actions())
     scenarios, simulator = starts(domain, 5, 6), domain.simulators[0]  # the first is filmed
     before = simulator.requested, simulator.simulated
-    one, again = (ArmPictures(domain).film(skill, scenarios, 7) for _ in range(2))
+    alone = starts(domain, 5)
+    one, again = (ArmPictures(domain).film(skill, each, 7) for each in (scenarios, alone))
     assert one is not None
     assert again is not None
     assert one.end == again.end == "success"

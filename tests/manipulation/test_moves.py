@@ -152,3 +152,13 @@ def test_a_start_is_that_of_its_seed(finger: Finger) -> None:
     """Whatever happened before; a remembered segment belongs to one seed."""
     ways = [finger.run(finger.start(seed), seed, control(-0.5, 1.0, limit=2)) for seed in (1, 4)]
     assert [place(way) for way in ways] == [[-0.050505, 0.11, 0], [-0.052083, 0.14, 0]]
+
+
+def test_actions_that_are_tried_go_both_ways_on_each_axis() -> None:
+    tried = np.stack([Finger.probing(number) for number in range(24)])
+    assert tried.shape == (24, 4)
+    assert tried.any(1).all()
+    assert (-1 <= tried.min(0)).all()
+    assert (tried.min(0) < -0.5).all()
+    assert (tried.max(0) > 0.5).all()
+    assert (tried.max(0) <= 1).all()
