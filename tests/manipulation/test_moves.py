@@ -158,7 +158,7 @@ def test_actions_that_are_tried_go_both_ways_on_each_axis() -> None:
     tried = np.stack([Finger.probing(number) for number in range(24)])
     assert tried.shape == (24, 4)
     assert tried.any(1).all()
-    assert (-1 <= tried.min(0)).all()
+    assert (tried.min(0) >= -1).all()
     assert (tried.min(0) < -0.5).all()
     assert (tried.max(0) > 0.5).all()
     assert (tried.max(0) <= 1).all()
