@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ABOUT, ONNX_ABOUT = "skill.json", "cgtorch"
 """The extra file, and the metadata property, with names and sizes as JSON (`SkillStep.about`)."""
-INPUTS = ["percept", "outcome", "place", "mind"]
+INPUTS = ["percept", "outcome", "place", "mind"]  # of `SkillStep.forward`
 OUTPUTS = ["request", "control", "next_place", "next_mind"]
 
 
@@ -59,7 +59,7 @@ def to_onnx(skill: Skill, percept_size: int | None = None) -> bytes:
     step = SkillStep(skill, percept_size)
     with _silence():
         try:
-            model = _converted(_exported(step), INPUTS, OUTPUTS)
+            model = _converted(_exported(step), OUTPUTS)
         except CgtorchError:
             raise
         except Exception:  # torch.onnx raises whatever it meets
@@ -89,14 +89,9 @@ def _exported(step: SkillStep) -> ExportedProgram:
     return program
 
 
-def _converted(
-    program: ExportedProgram,
-    inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
-) -> "onnx.ModelProto":
-    converted = torch.onnx.export(
-        program, dynamo=True, verbose=False, input_names=inputs, output_names=outputs
-    )
+def _converted(program: ExportedProgram, outputs: Sequence[str] | None = None) -> "onnx.ModelProto":
+    """The model of a program; its inputs have the names of the program's."""
+    converted = torch.onnx.export(program, dynamo=True, verbose=False, output_names=outputs)
     assert converted is not None  # it is only without dynamo  # noqa: S101
     return converted.model_proto
 

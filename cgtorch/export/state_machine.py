@@ -54,7 +54,7 @@ def to_state_machine(skill: Skill) -> bytes:
         clusters=clusters,
         asking=asking,
         fill_in=[*asking, *(state["class"] for state in mine)],
-        message_size=max(cluster.skill.actions.message_size for cluster in clusters),
+        message_size=skill.actions.message_size,
         memory_size=memory_size,
         most_steps=most_steps(skill.actions, skill.max_transitions),
         state_of=lambda node: _state(node, classes, places),

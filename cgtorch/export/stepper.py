@@ -11,7 +11,7 @@ from torch import Tensor
 
 from cgtorch.export.plain import Perceive, State, StateMachine, Step, Test, Userdata
 from cgtorch.export.state_machine import leads_of, memory_places, plain_arguments
-from cgtorch.export.step import Nowhere
+from cgtorch.export.step import Nowhere, control_size_of
 from cgtorch.graphs import Action, Skill
 from cgtorch.graphs.action import own
 from cgtorch.graphs.clusters import Node, clusters_of
@@ -69,7 +69,7 @@ class Stepper:
         self._requests: dict[State, Request] = {}
         most = most_steps(skill.actions, skill.max_transitions)
         self._machine = self._built(most if max_steps is None else max_steps)
-        self._message_size = max(level.actions.message_size for level in skill.levels)
+        self._message_size = skill.actions.message_size
         self._walk: Generator[State, str, str] | None = None
         self._asked: State | None = None
 
@@ -141,7 +141,7 @@ class Stepper:
             self._requests[state] = Request(asks, node.name)
             return state
         if not (module := own(action, "plain_module")):
-            who, size = f"action {type(action).__name__}", self.skill.actions.message_size
+            who, size = f"action {type(action).__name__}", control_size_of(self.skill)
             nowhere = Nowhere(who, self._percept_size, size, self._seed)
             return _Own(action, node.parameters, memory, nowhere, self.skill.graph.parameters.dtype)
         kind = getattr(import_module(module), type(action).__name__)

@@ -13,7 +13,7 @@ from cgtorch.ground.errors import printable
 
 def to_json(skill: Skill) -> bytes:
     """The same as `cgtorch.graphs.save_skill` writes and `load_skill` reads."""
-    return json.dumps(skill_to_dict(skill), indent=1, allow_nan=False).encode() + b"\n"
+    return json.dumps(skill_to_dict(skill), indent=1).encode() + b"\n"
 
 
 def to_dot(skill: Skill) -> bytes:
@@ -44,13 +44,11 @@ def to_mermaid(skill: Skill) -> bytes:
 
 def filled(template: str, **values: Any) -> bytes:
     """A filled template of this package; names are quoted by `dot`, `mermaid` or `xml`."""
-    environment = jinja2.Environment(
+    environment = jinja2.Environment(  # noqa: S701  it is no HTML
         loader=jinja2.PackageLoader("cgtorch.export"),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
-        lstrip_blocks=True,
         keep_trailing_newline=True,
-        autoescape=False,  # noqa: S701  it is no HTML
     )
     environment.filters |= {"dot": _dot, "mermaid": _mermaid, "xml": _xml, "literal": ascii}
     return environment.get_template(template).render(values).encode()

@@ -52,7 +52,7 @@ class Manipulation(Domain[Starts]):
     settings_type = ManipulationSettings
     models = None
     control = CONTROL
-    specialists = Specialists(group=32, widest=0, team=64, stall=8)
+    specialists = Specialists(group=32, team=64, stall=8)
     files = ManipulationFiles
     pictures = ArmPictures
     view: ClassVar[tuple[float, float, float]] = (135.0, -30.0, 1.5)

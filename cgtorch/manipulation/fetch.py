@@ -1,6 +1,5 @@
 """Gymnasium-Robotics' four tasks of a Fetch arm (Plappert et al. 2018)."""
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -42,17 +41,14 @@ class FetchSimulator(Simulator):
 
         super().__init__(horizon)
         gymnasium.register_envs(gymnasium_robotics)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            self.environment: Any = gymnasium.make(task).unwrapped
-        self._at = np.zeros(3)
+        self.environment: Any = gymnasium.make(task).unwrapped
         self.states = MujocoStates(self.environment, self._reset, self._tried)
 
     def _reset(self, seed: int) -> Any:
         return self.environment.reset(seed=seed)[0]
 
     def _tried(self, number: int) -> Any:
-        return self.environment.step(np.sin(np.arange(1, 5) * (number + 1.0)))[:2]
+        return self.environment.step(self.probing(number))[:2]
 
     def perceive(self, observation: Any) -> Floats:
         """See `Simulator.perceive`; without an object, the hand is in its place."""

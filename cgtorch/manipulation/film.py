@@ -23,9 +23,8 @@ class ArmPictures(Pictures[Any]):
         """See `Pictures.film`."""
         domain, seed = self.domain, int(scenarios.seed[0])
         simulator = domain.simulators[int(scenarios.task[0])]
-        # The tasks of other scenarios need no simulators.
         about = domain.simulators, domain.arm, simulator.size, domain.num_ids
-        world = ArmWorld(scenarios[:1], *about)
+        world = ArmWorld(scenarios, *about)
         with _filmed(simulator, seed, domain, width) as reel:
             return reel.play(skill, world)
 

@@ -72,12 +72,11 @@ class MetaWorldSimulator(Simulator):
         return observation
 
     def _tried(self, number: int) -> Any:
-        action = np.sin(np.arange(1, 5) * (number + 1.0))
-        return self.environment.step(action)[:2]
+        return self.environment.step(self.probing(number))[:2]
 
     def perceive(self, observation: Any) -> Floats:
         """See `Simulator.perceive`; the latter half of an observation is the one before."""
-        return np.concatenate([observation[:18], observation[36:39]])
+        return np.concatenate([observation[:18], observation[36:]])
 
     def hand(self) -> Floats:
         """See `Simulator.hand`."""

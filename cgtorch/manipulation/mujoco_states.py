@@ -135,15 +135,14 @@ class MujocoStates:
                 known = first.setdefault(name, value.copy())
                 if not np.array_equal(known, value, equal_nan=True):
                     self._fixed.append(name)
-            before = _numbers(environment, with_none=True)
+            before = _numbers(environment)
             for step in range(STEPS):
                 act(step)
             after = _numbers(environment)
             for name, value in after.items():
-                if name not in before or not _same(before[name], value):
+                if name not in before or not np.array_equal(before[name], value):
                     self._own[name] = np.shape(value)
         self._fixed = sorted(set(self._fixed))
-        self._at = None
 
     def _repeats(self, act: Callable[[int], Any]) -> bool:
         """Whether the second half of an episode is the same after another one began."""
@@ -169,13 +168,9 @@ def _arrays(model: Any) -> list[str]:
     return [n for n, v in values if isinstance(v, np.ndarray) and v.dtype == np.float64]
 
 
-def _numbers(environment: Any, with_none: bool = False) -> dict[str, Any]:
+def _numbers(environment: Any) -> dict[str, Any]:
     """Copies of an environment's own attributes that are numbers or arrays of numbers."""
-    return {
-        name: _copy(value)
-        for name, value in vars(environment).items()
-        if (with_none and value is None) or _is_number(value)
-    }
+    return {name: _copy(value) for name, value in vars(environment).items() if _is_number(value)}
 
 
 def _is_number(value: Any) -> bool:
@@ -186,10 +181,6 @@ def _is_number(value: Any) -> bool:
 
 def _copy(value: Any) -> Any:
     return value.copy() if isinstance(value, np.ndarray) else value
-
-
-def _same(one: Any, other: Any) -> bool:
-    return one is not None and np.shape(one) == np.shape(other) and np.array_equal(one, other)
 
 
 def _value(part: Floats, shape: tuple[int, ...], now: Any) -> Any:

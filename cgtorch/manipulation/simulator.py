@@ -83,6 +83,11 @@ class Simulator(ABC):
     def closeness(self, observation: Any) -> float:
         """How close an observation at a start is to success, in [0, 1]."""
 
+    @staticmethod
+    def probing(number: int) -> Floats:
+        """An action for `move`, such as any other, that differs from number to number."""
+        return np.sin(np.arange(1, 5) * (number + 1.0))
+
     def show(self) -> None:
         """Put into the scene what only pictures show, such as a goal; nothing by default."""
         return
@@ -121,7 +126,7 @@ class Simulator(ABC):
         speed = np.clip(control[SPEED], 0.05, 1.0)
         done, solved, closest, found = 0, False, row[CLOSEST], None
         places = list[Floats]()
-        while done < limit and not (solved and not self.at_the_end):
+        while True:
             places.append(self.hand().copy())
             way = control[:GRIP] - places[-1]
             fast = self.gain * way
@@ -137,7 +142,7 @@ class Simulator(ABC):
             if found is not None:
                 now, solved = found[1:]
                 closest = now if self.at_the_end else max(closest, now)
-            if last:
+            if last or (solved and not self.at_the_end):
                 break
         assert found is not None  # noqa: S101  the last step is looked at
         solved &= not self.at_the_end or row[STEPS] + done >= self.horizon

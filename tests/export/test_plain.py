@@ -81,7 +81,16 @@ def test_the_logistic_function_stays_finite() -> None:
     assert plain.sigmoid(0) == 0.5
     assert plain.sigmoid(2) == pytest.approx(0.8807970779778823)
     assert plain.sigmoid(1e4) == 1
-    assert 0 < plain.sigmoid(-1e4) < 1e-30
+    assert 0 < plain.sigmoid(-1e4) == plain.sigmoid(-80) < 1e-30
+
+
+def test_a_network_that_is_told_no_sizes_remembers_and_sends_nothing() -> None:
+    data = plain.Userdata([1.0], [5.0], memory=[7.0])
+    silent = plain.Network([], 3, memory=range(1))
+    silent.send(data, [])
+    silent.remember(data, [1.0, 2.0])
+    plain.Network([], 3, 2, 1).remember(data, [3.0])
+    assert (data.message, data.memory, data.has_message) == ([5.0], [7.0], True)
 
 
 class Drive(plain.Step):

@@ -71,6 +71,19 @@ def test_percepts_tell_the_task_if_they_are_to() -> None:
     assert torch.equal(percept[:, :-10], alone)
 
 
+def test_states_of_a_set_have_room_for_all_its_tasks() -> None:
+    """And a start of any of them is that of its simulator."""
+    domain = meta_world("CW10")
+    sizes = {domain.simulators[task].size for task in range(10)}
+    assert len(sizes) > 1
+    for task in range(10):
+        world = domain.world(starts(domain, 3, task=task))
+        state = world.start(torch.tensor([0]))[0]
+        row = domain.simulators[task].start(3)
+        assert state.shape == (1, max(sizes))
+        assert state[0, : len(row)].tolist() == row.tolist()
+
+
 def test_percepts_are_around_one() -> None:
     for domain in (meta_world(), fetch()):
         world = domain.world(starts(domain, *range(4)))

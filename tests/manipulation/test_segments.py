@@ -123,6 +123,14 @@ def down_to(x: float, y: float, z: float, grip: float) -> list[Segment]:
              to(0.3, 0.29, 0.08, SHUT, FINGERS, 0.8, near=0)],
         ),
         (
+            "PushTo", (0, 0, 0, 9),
+            [*down_to(0.3, 0.01, 0.05, SHUT), to(0.3, 0.44, 0.05, SHUT, speed=1)],
+        ),
+        (
+            "Hit", (0, 0, 0, 0, 9, 0),
+            [*down_to(0.3, 0.0, 0.05, SHUT), to(0.3, 0.23, 0.05, SHUT, FINGERS, 1, near=0)],
+        ),
+        (
             "Hit", (0, 0, 0, 0, -9, 0),
             [*down_to(0.3, 0.0, 0.05, SHUT), to(0.3, 0.23, 0.05, SHUT, FINGERS, 0.05, near=0)],
         ),
@@ -146,14 +154,40 @@ def test_a_primitive_moves_along_its_segments(
         assert {segment[3] for segment in puppet.asked} == {SHUT}
 
 
-def test_a_hit_is_faster_over_a_longer_way() -> None:
+def with_goal(x: float, y: float, z: float) -> Lanes:
+    """The lanes with the goal elsewhere, in m."""
+    made = lanes()
+    percept = made.percept.clone()
+    goal = torch.tensor([x, y, z], dtype=torch.float64)
+    percept[:, ARM.columns("goal")] = (goal - torch.tensor(ARM.centre).double()) / ARM.unit
+    return replace(made, percept=percept)
+
+
+@pytest.mark.parametrize(("faster", "speed"), [(0.0, 0.75), (0.5, 0.825)])
+def test_a_hit_is_faster_over_a_longer_way(faster: float, speed: float) -> None:
     """Half a metre more than 0.4 m, to a goal that is further along the line."""
     puppet: Any = Puppet()
-    far = lanes()
-    percept = far.percept.clone()
-    percept[:, ARM.columns("goal")] += torch.tensor([0.0, 0.5, 0.0]).double() / ARM.unit
-    primitives(ARM)["Hit"](replace(far, percept=percept), torch.zeros(1, 6).double(), puppet)
-    assert puppet.asked[-1] == to(0.3, 0.33, 0.05, SHUT, FINGERS, 0.75, near=0)
+    parameters = torch.tensor([[0, 0, 0, 0, 0, faster]]).double()
+    primitives(ARM)["Hit"](with_goal(0.3, 1.0, 0.15), parameters, puppet)
+    assert puppet.asked[-1] == to(0.3, 0.33, 0.05, SHUT, FINGERS, speed, near=0)
+
+
+@pytest.mark.parametrize(("name", "back"), [("PushTo", 0.09), ("Hit", 0.1)])
+def test_a_goal_that_is_near_has_a_direction_if_it_is_not_reached(name: str, back: float) -> None:
+    """From 1 mm on; where it is reached, the hand comes down to the object."""
+    action = primitives(ARM)[name]
+    for ahead, behind in ((0.0015, back), (0.0005, back / 2), (0.0, 0.0)):
+        puppet: Any = Puppet()
+        goal = with_goal(THING[0], THING[1] + ahead, THING[2])
+        action(goal, torch.zeros(1, action.num_parameters).double(), puppet)
+        assert puppet.asked[2][:3] == pytest.approx((0.3, 0.1 - behind, 0.05), abs=1e-4)
+
+
+def test_how_deep_to_insert_is_drawn_in_a_larger_unit() -> None:
+    drawn = primitives(ARM)["InsertGoal"].initial_parameters(2000, seeded(0))
+    assert drawn.std(0).tolist() == pytest.approx([1.0, 0.4, 0.4], rel=0.1)
+    drawn = primitives(ARM)["Place"].initial_parameters(2000, seeded(0))
+    assert drawn.std(0).tolist() == pytest.approx([0.4, 0.4, 0.4, 1.0], rel=0.1)
 
 
 @pytest.mark.parametrize(
