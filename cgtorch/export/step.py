@@ -48,7 +48,8 @@ class _MissingError(ActionError, AttributeError):
 
 def control_size_of(skill: Skill) -> int:
     """U, the size of the controls that a skill asks for, or of its messages if it asks for none."""
-    asked = [a.control_size for a in skill.actions.actions if isinstance(a, Step)]
+    every = (action for level in skill.levels for action in level.actions.actions)
+    asked = [action.control_size for action in every if isinstance(action, Step)]
     return max(asked, default=skill.actions.message_size)
 
 
@@ -65,7 +66,10 @@ class Computed(nn.Module):
         if not action.deterministic:
             raise self.refused("it is not deterministic")
         try:
-            self(*self.arguments)
+            message, _, memory, _ = self(*self.arguments)
+            for what, sent in (("message", message), ("memory", memory)):
+                if sent.dtype != torch.float32:
+                    raise ActionError(f"its {what} is {sent.dtype}; make it torch.float32")
         except Exception as e:  # whatever a foreign action raises
             raise self.refused(e) from e
 

@@ -16,6 +16,7 @@ class ActionSet:
     """A actions in a fixed order; a node's action is an index into it.
 
     ActionError without any action, for a duplicate name, or for an action without outcomes.
+    Names and actions may be given as lists.
 
     Attributes:
         names: Unique names, as in graphs and files.
@@ -29,8 +30,8 @@ class ActionSet:
         message_size: Length of the longest message.
     """
 
-    names: tuple[str, ...]
-    actions: tuple[Action, ...]
+    names: Sequence[str]
+    actions: Sequence[Action]
     terminal: Tensor = field(init=False, repr=False, compare=False)
     succeeds: Tensor = field(init=False, repr=False, compare=False)
     has_edge: Tensor = field(init=False, repr=False, compare=False)
@@ -40,6 +41,7 @@ class ActionSet:
 
     def __post_init__(self) -> None:
         """Check the actions and lay out their tables."""
+        vars(self).update(names=tuple(self.names), actions=tuple(self.actions))
         _check(self.names, self.actions)
         width = max(len(action.outcomes) for action in self.actions)
         terminal, succeeds, has_edge = torch.zeros(3, len(self), width, dtype=torch.bool)
@@ -122,7 +124,7 @@ def _is_standard(action: Action) -> bool:
     )
 
 
-def _check(names: tuple[str, ...], actions: tuple[Action, ...]) -> None:
+def _check(names: Sequence[str], actions: Sequence[Action]) -> None:
     if not actions or len(names) != len(actions):
         raise ActionError(
             f"{len(names)} names for {len(actions)} actions; give one name for each of at least one"

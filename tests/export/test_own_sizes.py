@@ -16,7 +16,7 @@ from walking import Path as Walk
 from walking import chain, path, walking_actions
 
 from cgtorch.export import SkillStep, to_module, to_state_machine
-from cgtorch.graphs import Action, ActionSet, ContinuousNN, Skill, SubSkill
+from cgtorch.graphs import Action, ActionSet, ContinuousNN, Skill, Step, SubSkill
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.simulation import most_steps
@@ -139,6 +139,15 @@ class Restless(Detect):
     """Does nothing, but could do something else next time."""
 
     deterministic: bool = False
+
+
+def test_a_control_is_as_long_where_only_an_inner_skill_asks_for_one() -> None:
+    actions = ActionSet(("Aim", "Step"), (ContinuousNN(2, outputs=2), Step(1)))
+    inner = Skill("inner", chain(actions, "Aim", "Step"), actions, max_transitions=9)
+    outer = ActionSet(["inner"], [SubSkill(inner)])
+    assert outer.message_size == 2
+    step = SkillStep(Skill("outer", chain(outer, "inner"), outer, max_transitions=9))
+    assert step.control_size == 1
 
 
 def test_as_many_actions_as_in_the_library(

@@ -157,6 +157,16 @@ class SlowBase(MoveBase):
         return super().forward(replace(lanes, message=lanes.message / 2), parameters, environment)
 
 
+class Precise(Learned):
+    """Sends numbers of another type than percepts have."""
+
+    def forward(
+        self, lanes: Lanes, parameters: Tensor, environment: Environment
+    ) -> tuple[Lanes, Tensor]:
+        lanes, outcome = super().forward(lanes, parameters, environment)
+        return replace(lanes, message=lanes.message.double()), outcome
+
+
 @pytest.mark.parametrize(
     ("action", "why"),
     [
@@ -164,6 +174,7 @@ class SlowBase(MoveBase):
         (SlowBase(), "asks its environment for 'step'"),
         (Random(), "not deterministic"),
         (Sees(), "writes lanes.percept"),
+        (Precise(), "message is torch.float64; make it torch.float32"),
     ],
 )
 def test_an_action_that_needs_more_than_it_is_given_is_named(action: Action, why: str) -> None:

@@ -86,6 +86,7 @@ def test_a_thousand_percepts_without_cgtorch(archive: bytes, tmp_path: Path) -> 
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
 
 
+@pytest.mark.hostile
 def test_an_action_with_weights_of_its_own(tmp_path: Path) -> None:
     torch.manual_seed(0)
     skill = lone(Learned())
@@ -95,6 +96,7 @@ def test_an_action_with_weights_of_its_own(tmp_path: Path) -> None:
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
 
 
+@pytest.mark.hostile
 def test_nothing_in_it_is_a_pickle_or_tells_where_it_was_made(archive: bytes) -> None:
     with zipfile.ZipFile(io.BytesIO(archive)) as files:
         content = {name: files.read(name) for name in files.namelist()}

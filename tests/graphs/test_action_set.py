@@ -52,6 +52,15 @@ def test_extending_keeps_indices_and_grows_tables() -> None:
         actions.index("Fly")
 
 
+def test_lists_are_as_good_as_tuples() -> None:
+    base = paper_actions()
+    listed = ActionSet(list(base.names), list(base.actions))
+    assert listed == base
+    assert hash(listed) == hash(base)
+    with pytest.raises(ActionError, match="1 names for 5 actions"):
+        ActionSet(["Only"], list(base.actions))
+
+
 def test_initial_parameters_do_not_depend_on_other_nodes() -> None:
     actions = custom_actions()
     one, two = (torch.tensor(x) for x in ([3, 4, 5, 0], [3, 1, 3, 5]))
