@@ -6,10 +6,13 @@ from pathlib import Path
 
 import pytest
 from command_line import EVALUATE, Shell, edited, listing
+from support import circle
 from told_by_runs import logged
 from trained import Trained, copied
 
 from cgtorch.commands import common
+from cgtorch.domains.registry import make_domain
+from cgtorch.graphs import load_skill, save_skill
 from cgtorch.ground.statistics import wilson
 from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.storage import load_knowledge
@@ -76,6 +79,25 @@ def test_a_run_and_its_stages(
     assert shell.told(EVALUATE, ".", *words[1:]) == found, "of the current folder"
     assert shell.told(EVALUATE, trained.folder, "--skill", name, *words[1:]) == found
     assert listing(trained.folder) == before
+
+
+def test_why_a_skill_of_a_file_fails(shell: Shell, tmp_path: Path) -> None:
+    cart, path, why = make_domain("examples.cart:Cart"), tmp_path / "cart.json", tmp_path / "why"
+    save_skill(path, circle(cart.actions(), "Test"))
+    words = path, "--domain", "examples.cart:Cart", "--count", 20, "--failures", why
+    ended = shell.does(EVALUATE, *words)
+    data = json.loads((why / "failures.json").read_text())
+    assert ended.out.splitlines()[1:] == [
+        data["blame"],
+        *(advice["text"] for advice in data["advice"]),
+        f"kinds of failure: 1, in {why / 'failures.md'}, {why / 'failures.json'}",
+    ]
+    succeeded = evaluate_skill(load_skill(path, cart.actions()), cart, "any", 20, 0).succeeded
+    assert 0 < int(succeeded.sum()) < 20
+    assert f"{20 - int(succeeded.sum())} of 20 scenarios fail." in (why / "failures.md").read_text()
+    rows = shell.told(EVALUATE, *words)["rows"]
+    assert [row["succeeded"] for row in rows] == succeeded.tolist()
+    assert [row["failure"] for row in rows] == [None if ok else 1 for ok in succeeded.tolist()]
 
 
 @pytest.mark.hostile
