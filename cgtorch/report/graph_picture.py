@@ -111,7 +111,11 @@ def text_width(text: str, size: float, bold: bool = False) -> float:
 
 
 def packed(sizes: Sequence[Point]) -> tuple[list[Point], float, float]:
-    """Top left corners of panels, and the width and height of a compact picture of them."""
+    """Top left corners of panels, and the width and height of a compact picture of them.
+
+    It is at most 1.8 times as wide as a square with the area of all panels and their margins, and
+    two margins, unless one panel is wider.
+    """
     area = sum((w + MARGIN) * (h + MARGIN) for w, h in sizes)
     widest = max(w for w, _ in sizes)
     tries = [_shelves(sizes, max(factor * area**0.5, widest) + 2 * MARGIN)

@@ -52,6 +52,8 @@ def test_pictures_are_compact_and_rather_wide_than_tall() -> None:
         count = source.randint(3, 9)
         sizes = [(source.uniform(0.8, 4.0), source.uniform(0.8, 5.0)) for _ in range(count)]
         _, width, height = packed(sizes)
+        square = sum((w + MARGIN) * (h + MARGIN) for w, h in sizes) ** 0.5
+        assert width <= max(1.8 * square, *(w for w, _ in sizes)) + 2 * MARGIN + SLACK
         used.append(sum(w * h for w, h in sizes) / (width * height))
         tall.append(height / width)
     assert fmean(used) > 0.69
