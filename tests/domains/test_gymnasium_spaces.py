@@ -173,8 +173,11 @@ def test_random_actions_are_drawn_from_boxes_without_bounds_that_are_as_far_as_n
     steps = spaces.Box(-5, 5, (2,), dtype=np.int64)
     kept = spaces.Discrete(3), spaces.MultiBinary(2), steps
     assert all(tried(each) is each for each in kept)
-    both = tried(spaces.Dict({"a": spaces.Tuple([WIDE, steps]), "b": spaces.Discrete(3)}))
-    wanted = spaces.Dict({"a": spaces.Tuple([free, steps]), "b": spaces.Discrete(3)})
+    nested: list[spaces.Space[Any]] = [
+        spaces.Dict({"a": spaces.Tuple((box, steps)), "b": spaces.Discrete(3)})
+        for box in (WIDE, free)
+    ]
+    both, wanted = tried(nested[0]), nested[1]
     assert both == wanted
     assert both["a"][0].dtype == np.float64
     assert {f.name: (f.low, f.high) for f in controls_of(WIDE, "wide").fields} == {
@@ -216,7 +219,7 @@ def test_percepts_are_copies_of_the_kind_that_was_declared() -> None:
 
 @pytest.mark.parametrize(("count", "more"), [(LISTED, ""), (LISTED + 1, ", …")])
 def test_a_few_parts_are_listed_where_a_pattern_matches_none(count: int, more: str) -> None:
-    parts = {f"part{i:02}": spaces.Discrete(2) for i in range(count)}
+    parts: dict[str, Any] = {f"part{i:02}": spaces.Discrete(2) for i in range(count)}
     listed = ", ".join(f"part{i:02}" for i in range(LISTED))
     with pytest.raises(DomainError) as caught:
         percepts_of(spaces.Dict(parts), ("nose",), "Long-v0")

@@ -160,7 +160,10 @@ def test_a_stage_too_short_for_its_name_is_only_marked() -> None:
     assert [text.get_text() for text in fitness.texts] == few
     for text in fitness.texts:
         assert (text.xy[1], text.xyann) == (1, (0, 3)), "above"  # type: ignore[attr-defined]
-        assert (text.get_ha(), text.get_va()) == ("center", "bottom")
+        assert (text.get_horizontalalignment(), text.get_verticalalignment()) == (
+            "center",
+            "bottom",
+        )
 
 
 def test_rates_are_a_mean_and_the_middle_of_the_population() -> None:

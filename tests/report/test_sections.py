@@ -16,7 +16,7 @@ from cgtorch.runs.stored_run import StoredRun, read_run
 from cgtorch.tabletop.actions import paper_actions
 
 RESULT = {"scenarios": "near", "fresh": {"tried": 3, "succeeded": 2}}
-BARE = {
+BARE: dict[str, Any] = {
     "gamma__learning_curve": {"sizes": [], "train_scores": [], "test_scores": []},
     "classifier__learning_curve": None,
     "classifier__reliability": [],
@@ -78,11 +78,14 @@ def test_of_a_round_no_tests_are_marked_and_no_stages_are_missing(run: StoredRun
 def report(**changes: Any) -> dict[str, Any]:
     """Reports of two numbers, one of which is a length."""
     curve = {"sizes": [10, 20], "train_scores": [[1, 0.5], [1, 1]], "test_scores": [[0], [0.5]]}
-    gamma = {
+    gamma: dict[str, Any] = {
         "coordinates": ["place", "heat"], "units": ["m", "K"], "error": [0.01234, 3.14159],
         "baseline_error": [0.5, 10.0], "choice": [{"C": 1.0}, None], "learning_curve": curve,
     }  # fmt: skip
-    classifier = {"reliability": [[0.0, 1.0, 1], [1.0, 0.0, 41]], "learning_curve": curve}
+    classifier: dict[str, Any] = {
+        "reliability": [[0.0, 1.0, 1], [1.0, 0.0, 41]],
+        "learning_curve": curve,
+    }
     for name, value in changes.items():
         model, _, key = name.partition("__")
         {"gamma": gamma, "classifier": classifier}[model][key] = value
