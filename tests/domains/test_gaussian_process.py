@@ -129,8 +129,8 @@ def some_kernel() -> Kernel:
 def test_covariances_are_those_of_scikit_learn() -> None:
     kernel = some_kernel()
     x, other = (torch.randn(n, 2, generator=seeded(n)).double() for n in (5, 7))
-    smooth = RBF([math.exp(0.2), math.exp(-0.3)])
-    wanted = math.exp(0.5) * smooth(x, other) + math.exp(-0.4) * DotProduct(1.0)(x, other)
+    smooth, a, b = RBF([math.exp(0.2), math.exp(-0.3)]), x.numpy(), other.numpy()
+    wanted = math.exp(0.5) * smooth(a, b) + math.exp(-0.4) * DotProduct(1.0)(a, b)
     torch.testing.assert_close(kernel(x, other), torch.from_numpy(wanted))
     torch.testing.assert_close(kernel.alone(x), kernel(x, x).diagonal())
     assert float(kernel.noise) == pytest.approx(math.exp(-3.0) + LEAST_NOISE**2)
