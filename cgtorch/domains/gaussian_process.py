@@ -88,7 +88,6 @@ def fitted_parameters(free: Tensor, x: Tensor, y: Tensor, steps: int) -> Tensor:
         kernel = Kernel.of(free)
         factor, failed = torch.linalg.cholesky_ex(kernel(x, x) + kernel.noise * eye)
         if failed:  # a step that was far too long, which the line search takes back
-            free.grad = torch.zeros_like(free)
             return torch.tensor(IMPOSSIBLE, dtype=x.dtype)
         white = torch.linalg.solve_triangular(factor, y, upper=False)
         unlikely = 0.5 * white.square().sum() + y.shape[1] * factor.diagonal().log().sum()

@@ -174,14 +174,14 @@ class Usual:
     def __call__(self, x: Tensor) -> Tensor:
         """Expected numbers (n,) at features (n, F)."""
         if self.constant:
-            return torch.full((len(x),), self.shift, dtype=torch.float64)
+            return x.new_full((len(x),), self.shift)
         rows = torch.cat([x, x.new_ones(len(x), 1)], 1)
         return self.shift + self._folded(rows)[:, 0]
 
     def deviation(self, x: Tensor) -> Tensor:
         """Standard deviations (n,) at features (n, F), in units of that of all numbers."""
         if self.constant:
-            return torch.zeros(len(x), dtype=torch.float64)
+            return x.new_zeros(len(x))
         rows = (x - self.mean) / self.scale
         known = (self.kernel(rows, self.pivots) @ self._known).square().sum(1)
         return (self.kernel.alone(rows) - known).clamp_min(0).sqrt()

@@ -15,6 +15,7 @@ from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.origins import is_own
 
 TRIES = 20  # ports after the one that is wished for
+PATIENCE = 30.0  # s that a connection may say nothing
 HEADERS = {
     "Content-Type": "text/html; charset=utf-8",
     "Cache-Control": "no-store",
@@ -63,7 +64,7 @@ def _listening(host: str, port: int, handler: type[BaseHTTPRequestHandler]) -> T
     for number in [0] if port == 0 else range(port, min(port + TRIES, 65536)):
         try:
             return ThreadingHTTPServer((host, number), handler)
-        except (OSError, UnicodeError) as e:
+        except (OSError, TypeError) as e:  # the latter of a name in no encoding
             error = e
             if getattr(e, "errno", None) != EADDRINUSE:
                 break
@@ -77,7 +78,7 @@ def _handler(host: str, waiting: Waiting) -> type[BaseHTTPRequestHandler]:
     """Handles the requests of one server: a page for its own origin, nothing for others."""
 
     class Handler(BaseHTTPRequestHandler):
-        timeout = 30  # s that a connection may say nothing
+        timeout = PATIENCE
 
         def do_GET(self) -> None:
             asked, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))

@@ -68,7 +68,7 @@ def draw_clusters(clusters: Sequence[Cluster]) -> "Figure":
     from matplotlib.figure import Figure
 
     panels = [_panel(cluster) for cluster in clusters]
-    corners, width, height = _packed(panels)
+    corners, width, height = packed([(panel.width, panel.height) for panel in panels])
     figure = Figure(figsize=(width, height), dpi=100, facecolor="white")
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set_xlim(0, width)
@@ -110,9 +110,12 @@ def text_width(text: str, size: float, bold: bool = False) -> float:
     return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0]) / 72
 
 
-def _packed(panels: list[Panel]) -> tuple[list[Point], float, float]:
-    """Top left corners of the panels, and the width and height of a compact picture."""
-    sizes = [(p.width, p.height) for p in panels]
+def packed(sizes: Sequence[Point]) -> tuple[list[Point], float, float]:
+    """Top left corners of panels, and the width and height of a compact picture of them.
+
+    It is at most 1.8 times as wide as a square with the area of all panels and their margins, and
+    two margins, unless one panel is wider.
+    """
     area = sum((w + MARGIN) * (h + MARGIN) for w, h in sizes)
     widest = max(w for w, _ in sizes)
     tries = [_shelves(sizes, max(factor * area**0.5, widest) + 2 * MARGIN)
@@ -120,7 +123,7 @@ def _packed(panels: list[Panel]) -> tuple[list[Point], float, float]:
     return min(tries, key=lambda found: found[1] * found[2] * max(found[2] / found[1], 1) ** 0.5)
 
 
-def _shelves(sizes: list[tuple[float, float]], limit: float) -> tuple[list[Point], float, float]:
+def _shelves(sizes: Sequence[Point], limit: float) -> tuple[list[Point], float, float]:
     """The same within a maximum width: shelves of columns, the first panel first, then by size."""
     corners = [(0.0, 0.0)] * len(sizes)
     x = top = y = MARGIN  # the column's left, the shelf's top, and how far the column is filled

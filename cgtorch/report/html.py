@@ -61,12 +61,9 @@ def inline_svg(figure: "Figure", key: str, label: str, scale: float = 1.0) -> Ma
         figure.patch.set_alpha(0)
         for axes in figure.axes:
             axes.patch.set_alpha(0)
-        figure.savefig(out, format="svg", metadata={"Date": None})
+        figure.savefig(out, format="svg")
     # Stripping comments and the like is safe: names are in attributes and text.
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True,
-        remove_comments=True, remove_blank_text=True,
-    )  # fmt: skip
+    parser = etree.XMLParser(huge_tree=True, remove_comments=True, remove_blank_text=True)
     root = etree.fromstring(out.getvalue().encode(), parser)
     etree.strip_elements(root, *(SVG + name for name in ("metadata", "style", "title")))
     _rename(root, key)
@@ -114,7 +111,7 @@ def _say_once(root: etree._Element) -> None:
     for group in root.iter(f"{SVG}g"):
         styles = {mark.get("style") for mark in group}
         if len(group) > 1 and len(styles) == 1 and all(mark.tag == f"{SVG}use" for mark in group):
-            if (style := styles.pop()) is None or group.get("style") is not None:
+            if (style := styles.pop()) is None:  # all are black and without rims
                 continue
             group.set("style", style)
             for mark in group:

@@ -211,7 +211,7 @@ def _success(contents: Contents) -> Markup:
 def _evolution(contents: Contents) -> dict[str, Any]:
     rows, run = contents.rows("generation"), contents.run
     if not rows:
-        return {"fitness": "", "rates": "", "logged": 0}
+        return {"fitness": ""}
     fitness = draw_fitness(rows, run.stages, rewarded(run.domain))
     rates = draw_rates(rows, run.stages)
     label = "Fitness, share of unsolved individuals, and nodes over generations"

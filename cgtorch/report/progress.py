@@ -22,6 +22,7 @@ from cgtorch.report.messages import as_time, few_solved, message_of, place_of, s
 SILENCE = 29.0  # s without a line after which one tells what goes on
 OFTEN = 25.0  # s at least between two lines on the same work where there is no terminal
 MEMORY = 0.9  # weight of the past in smoothed numbers
+LOOKED = 1.0  # s between two looks at whether it is silent
 ENOUGH = 30  # episodes, to say how many of them succeeded
 
 
@@ -42,7 +43,8 @@ class Estimate:
 
     def stage_started(self, event: events.StageStarted) -> None:
         """Update at the beginning of a stage."""
-        self._attempts, self._tried, self._done, self._latest = event.attempts, 0, 0, None
+        self._attempts, self._tried, self._latest = event.attempts, 0, None
+        self._done = self._limit  # no evolution has begun
         number, count = stage_number(event)
         self._later_stages = count - number
 
@@ -124,10 +126,7 @@ class ProgressDisplay:
         """Begin; elapsed time counts from here."""
         self._began = time.monotonic()
         if self._live_mode:
-            self._live = Live(
-                get_renderable=self.live_lines, console=self.console, refresh_per_second=4,
-                transient=True,
-            )  # fmt: skip
+            self._live = Live(get_renderable=self.live_lines, console=self.console, transient=True)
             self._live.start()
         elif not self._quiet:
             self._ended = threading.Event()
@@ -143,7 +142,7 @@ class ProgressDisplay:
 
     def _signs_of_life(self) -> None:
         """Print a line wherever nothing has been printed for a while, until the end."""
-        while not self._ended.wait(1.0):
+        while not self._ended.wait(LOOKED):
             if time.monotonic() - self._told >= SILENCE:
                 self.say(self._present())
 
@@ -289,7 +288,7 @@ def _bar(event: events.GenerationDone, left: float) -> Table:
     done = event.generation.number + 1
     grid = Table.grid(padding=(0, 1))
     for _ in range(4):
-        grid.add_column(no_wrap=True, overflow="ellipsis")
+        grid.add_column(no_wrap=True)
     grid.add_row(
         Text(printable(f"  {event.candidate}"), style="cyan"),
         ProgressBar(total=event.limit, completed=done, width=24),

@@ -2,25 +2,32 @@
 
 import subprocess
 import sys
+from dataclasses import field
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import pytest
+from driven_cart import CartDriver
 from rail import Cart, RailSettings
 
 import cgtorch.domains.registry as registry
 from cgtorch.domains.domain import Domain
 from cgtorch.domains.registry import (
+    check_name,
     check_options,
     domain_class,
+    driver_of,
+    full_name,
     is_code,
     known_names,
     make_domain,
+    make_driver,
     settings_class,
     spec_of,
     with_name,
 )
+from cgtorch.domains.robot import RobotDriver
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.ground.errors import DomainError, SettingsError
 from cgtorch.runs.settings import NAMES
@@ -176,5 +183,109 @@ def test_no_setting_of_a_domain_is_called_as_one_of_every_run() -> None:
     assert message == "domain 'rail:Cart' has a setting 'wind', which every run has; rename it"
 
 
-def test_a_domain_without_settings_of_its_own_has_the_empty_ones() -> None:
+def test_a_default_for_no_setting_of_a_run_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, said in (("populations", "'population'"), ("xyz", "a setting of a run")):
+        monkeypatch.setattr(RailSettings, "run_defaults", {"population": 7, name: 1})
+        message = refused(check_options, "rail:Cart", NAMES)
+        assert message.startswith(f"domain 'rail:Cart' has run_defaults for '{name}'; name {said}")
+
+
+def test_a_domain_that_says_nothing_of_itself_has_what_is_usual() -> None:
     assert Unfinished.settings_type is DomainSettings
+    assert Unfinished.target_return == 0, "as a return above 0 is a gain"
+    assert Unfinished.repeats
+
+
+def test_objects_and_classes_have_the_names_by_which_they_are_made_again() -> None:
+    class Own(Cart):
+        """One that nobody can import."""
+
+    assert spec_of("anything") == ("anything", None)
+    assert spec_of(Tabletop) == ("tabletop", None)
+    assert spec_of(Cart) == ("rail:Cart", None)
+    assert spec_of(CartDriver) == ("driven_cart:CartDriver", None)
+    made = Cart()
+    assert spec_of(made) == ("rail:Cart", made)
+    name, found = spec_of(Own)
+    assert name.endswith("<locals>.Own")
+    assert isinstance(found, Own)
+    pytest.importorskip("gymnasium")
+    cart = make_domain("gymnasium:CartPole-v1")
+    assert spec_of(cart) == ("gymnasium:CartPole-v1", cart)
+    assert spec_of(type(cart)) == ("gymnasium", None)
+
+
+def test_only_code_of_a_driver_is_a_driver() -> None:
+    assert driver_of("driven_cart:CartDriver") == "driven_cart:CartDriver"
+    assert [driver_of(spec) for spec in ("rail:Cart", "tabletop", "gymnasium:A-v1")] == [""] * 3
+    assert isinstance(make_driver("driven_cart:CartDriver"), CartDriver)
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("cart", "driver 'cart' is no name; give package.module:Class"),
+        ("nowhere:Driver", "cannot import driver 'nowhere:Driver' (ModuleNotFoundError"),
+        ("rail:Cart", "driver 'rail:Cart' is <class 'rail.Cart'>; give a subclass of RobotDriver"),
+        ("rail:END", "driver 'rail:END' is 3.0; give a subclass of RobotDriver"),
+        (f"{__name__}:Halted", "Halted' lacks perceive; implement it"),
+        (f"{__name__}:Broken", "Broken' cannot be made (ValueError: no port) in line "),
+    ],
+)
+def test_what_is_no_driver_is_refused(spec: str, message: str) -> None:
+    assert message in refused(make_driver, spec)
+
+
+class Halted(RobotDriver):
+    """One that cannot even see."""
+
+
+class Broken(CartDriver):
+    """One without a robot."""
+
+    def __init__(self) -> None:
+        raise ValueError("no port")
+
+
+def test_wrappers_and_rewards_are_named_once() -> None:
+    settings: Any = settings_class("gymnasium")()
+    spec = "gymnasium:a:Cart-v1+b:Wrap+reward=c:paid+d:Other"
+    found: Any = with_name(spec, settings)
+    assert (found.environment, found.wrappers, found.reward) == (
+        "a:Cart-v1", ("b:Wrap", "d:Other"), "c:paid",
+    )  # fmt: skip
+    assert with_name(spec, found) == found
+    kept: Any = with_name("gymnasium:a:Cart-v1", found)
+    assert (kept.wrappers, kept.reward) == (found.wrappers, found.reward)
+    message = refused(with_name, "gymnasium:Cart-v1+e:Wrap", found)
+    assert message.endswith("names other wrappers than b:Wrap, d:Other; give them once")
+    message = refused(with_name, "gymnasium:Cart-v1+reward=e:paid", found)
+    assert message.endswith("names another reward than c:paid; give it once")
+    arms: Any = settings_class("metaworld")()
+    for spec in ("metaworld:reach-v3+b:Wrap", "metaworld:a/reach-v3"):
+        assert "names no environment; give metaworld:NAME" in refused(with_name, spec, arms)
+
+
+def test_a_run_has_the_settings_of_the_domain_that_it_names() -> None:
+    settings = with_name("gymnasium:Cart-v1+b:Wrap", settings_class("gymnasium")())
+    assert full_name("gymnasium:Cart-v1", settings) == "gymnasium:Cart-v1+b:Wrap"
+    assert full_name("rail:Cart", RailSettings()) == "rail:Cart"
+    check_name("gymnasium:Cart-v1+b:Wrap", settings)
+    assert refused(check_name, "gymnasium:Cart-v1", settings) == (
+        "a run about domain 'gymnasium:Cart-v1' has settings of 'gymnasium:Cart-v1+b:Wrap'; "
+        "restore its run.json"
+    )
+
+
+def test_settings_that_are_no_frozen_dataclass_of_the_kind_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Plain(DomainSettings):
+        """One that was not decorated."""
+
+        wind: float = field(default=0.1)
+
+    for found in (int, "RailSettings", Plain):
+        monkeypatch.setattr(Cart, "settings_type", found)
+        message = refused(settings_class, "rail:Cart")
+        assert "; give a subclass of cgtorch.DomainSettings that is decorated" in message

@@ -10,7 +10,7 @@ from support import seeded
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.gymnasium import Gymnasium
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of
+from cgtorch.domains.gymnasium_spaces import LISTED, controls_of, percepts_of, tried
 from cgtorch.domains.registry import make_domain
 from cgtorch.ground.environment import start_lanes
 from cgtorch.ground.errors import DomainError
@@ -153,3 +153,74 @@ def test_an_action_without_numbers_is_refused() -> None:
     names = spaces.Dict({f"part{i}": spaces.Discrete(2) for i in range(20)})
     with pytest.raises(DomainError, match=r"part11.*, …$|, …$"):
         percepts_of(names, ("nose",), "Long-v0")
+
+
+FAR = 1e30
+WIDE = spaces.Box(
+    np.array([-1.0, -FAR, 0.0]), np.array([FAR, 2.0, np.inf]), dtype=np.float64
+)  # whose second and third number have one bound each that counts
+
+
+def same(one: spaces.Space[Any], other: spaces.Space[Any]) -> bool:
+    return one == other and one.dtype == other.dtype
+
+
+def test_random_actions_are_drawn_from_boxes_without_bounds_that_are_as_far_as_none() -> None:
+    free = spaces.Box(
+        np.array([-1.0, -np.inf, 0.0]), np.array([np.inf, 2.0, np.inf]), dtype=np.float64
+    )
+    assert same(tried(WIDE), free)
+    steps = spaces.Box(-5, 5, (2,), dtype=np.int64)
+    kept = spaces.Discrete(3), spaces.MultiBinary(2), steps
+    assert all(tried(each) is each for each in kept)
+    nested: list[spaces.Space[Any]] = [
+        spaces.Dict({"a": spaces.Tuple((box, steps)), "b": spaces.Discrete(3)})
+        for box in (WIDE, free)
+    ]
+    both, wanted = tried(nested[0]), nested[1]
+    assert both == wanted
+    assert both["a"][0].dtype == np.float64
+    assert {f.name: (f.low, f.high) for f in controls_of(WIDE, "wide").fields} == {
+        "action 1": (-1.0, np.inf), "action 2": (-np.inf, 2.0), "action 3": (0.0, np.inf),
+    }  # fmt: skip
+
+
+def test_numbers_that_cannot_vary_are_no_controls() -> None:
+    box = spaces.Box(np.array([[-1, 5], [0, -2]]), np.array([[1, 5], [4, 3]]), dtype=np.int64)
+    controls = controls_of(box, "box")
+    assert [f.name for f in controls.fields] == ["action 1,1", "action 2,1", "action 2,2"]
+    (action,) = controls.actions(np.array([[-3.0, 2.0, 7.0]]))
+    assert action.tolist() == [[-1, 5], [2, 3]]
+    assert action.dtype == np.int64
+    with pytest.raises(DomainError, match="only numbers and choices that vary can be controls"):
+        controls_of(spaces.Box(2.0, 2.0, (3,)), "still")
+
+
+def test_percepts_are_copies_of_the_kind_that_was_declared() -> None:
+    box = spaces.Box(-1, 1, (2, 2), dtype=np.float32)
+    percepts = percepts_of(box, (), "box")
+    seen = np.ones((2, 2), dtype=np.float32)
+    found = percepts.of(seen)
+    seen[:] = 7
+    assert found.tolist() == [1.0] * 4
+    assert found.dtype == np.float32
+    assert (percepts.columns, percepts.left_out) == (None, ())
+    with pytest.raises(ValueError, match=r"^observation has 3 numbers, not Box\("):
+        percepts.of(np.ones(3))
+    with pytest.raises(ValueError, match=r"^observation is of type <U"):
+        percepts.of(np.array(["a"] * 4))
+    every = percepts_of(box, ("observation 1,2", "observation ?,1"), "box")
+    assert [field.name for field in every.fields] == [
+        "observation 1,1", "observation 1,2", "observation 2,1",
+    ]  # fmt: skip
+    assert every.of(np.array([[1.0, 2.0], [3.0, 4.0]])).tolist() == [1, 2, 3]
+    assert percepts_of(box, ("*",), "box").columns is None, "as all are taken"
+
+
+@pytest.mark.parametrize(("count", "more"), [(LISTED, ""), (LISTED + 1, ", …")])
+def test_a_few_parts_are_listed_where_a_pattern_matches_none(count: int, more: str) -> None:
+    parts: dict[str, Any] = {f"part{i:02}": spaces.Discrete(2) for i in range(count)}
+    listed = ", ".join(f"part{i:02}" for i in range(LISTED))
+    with pytest.raises(DomainError) as caught:
+        percepts_of(spaces.Dict(parts), ("nose",), "Long-v0")
+    assert str(caught.value).endswith(f"'Long-v0' shows; it has {listed}{more}")

@@ -5,7 +5,8 @@ import torch
 from support import seeded
 from torch import Tensor
 
-from cgtorch.domains.learned_reward import LearnedReward, Thresholds
+from cgtorch.domains.gaussian_process import projected
+from cgtorch.domains.learned_reward import LearnedReward, Thresholds, Usual
 from cgtorch.improvement.played import Steps
 
 FLAG, BONUS = 0.8, 100.0
@@ -71,11 +72,13 @@ def test_each_end_gives_what_the_nearest_one_gave() -> None:
     assert gained.tolist() == pytest.approx([10.0, -20.0], abs=0.3)
 
 
-def test_rewards_that_are_all_the_same_stay_the_same_and_are_not_doubted() -> None:
+@pytest.mark.parametrize("gain", [0.1, 0.0])
+def test_rewards_that_are_all_the_same_stay_the_same_and_are_not_doubted(gain: float) -> None:
     steps = walked(40, flag=9.0)
-    same = Steps(steps.percept, steps.control, steps.after, torch.ones(40).double(), steps.ended)
+    every = torch.full((40,), gain, dtype=torch.float64)
+    same = Steps(steps.percept, steps.control, steps.after, every, steps.ended)
     model = LearnedReward(same)
-    assert said(walked(9, seed=3), model)[0].tolist() == [1.0] * 9
+    assert said(walked(9, seed=3), model)[0].tolist() == pytest.approx([gain] * 9, abs=1e-12)
     assert model.doubt(steps.percept, steps.control).tolist() == [0.0] * 40
     beyond = steps.after[:1] + 10 * steps.after.std(0)
     assert model.doubt(beyond, steps.control[:1]) > 1  # where there may be an end
@@ -120,3 +123,39 @@ def test_an_end_at_the_edge_of_others_is_beyond_no_threshold() -> None:
         assert Thresholds.found(going, torch.tensor([[edge]]).double()) is None
         mixed = torch.tensor([[edge], [2.0]]).double()
         assert Thresholds.found(going, mixed) is None
+
+
+def test_where_all_steps_are_ends_none_is_told_from_others() -> None:
+    steps = walked(40)
+    every = torch.ones(40, dtype=torch.bool)
+    model = LearnedReward(Steps(steps.percept, steps.control, steps.after, steps.reward, every))
+    assert not said(walked(20, seed=1), model)[1].any()
+
+
+def test_numbers_and_their_deviations_are_those_of_the_projected_process() -> None:
+    g = seeded(5)
+    x = 2 * torch.rand(40, 2, generator=g).double()
+    y = 3 + x[:, 0].sin() - x[:, 1] ** 2 + 0.01 * torch.randn(40, generator=g).double()
+    model = Usual(x, y, None)
+    asked = 2 * torch.rand(30, 2, generator=g).double()
+    kernel, rows, at = model.kernel, *((each - model.mean) / model.scale for each in (x, asked))
+    shift, spread = y.mean(), y.std(correction=0)
+    weights, known = projected(kernel, model.pivots, rows, ((y - shift) / spread)[:, None])
+    across = kernel(at, model.pivots)
+    mean = shift + spread * (across @ weights)[:, 0]
+    torch.testing.assert_close(model(asked), mean, atol=1e-6, rtol=0.0)
+    variance = kernel.alone(at) - (across @ known).square().sum(1)
+    torch.testing.assert_close(model.deviation(asked), variance.sqrt(), atol=1e-6, rtol=1e-6)
+    truth = 3 + asked[:, 0].sin() - asked[:, 1] ** 2
+    assert float((model(asked) - truth).abs().mean()) < 0.05
+
+
+def test_a_later_fit_goes_on_from_an_earlier_one() -> None:
+    steps = walked(60, flag=9.0)
+    first = LearnedReward(steps)
+    again = LearnedReward(steps, first.free)
+    torch.testing.assert_close(again.free, first.free, atol=0.3, rtol=0.0)
+    far = LearnedReward(steps, first.free + 3)
+    assert not torch.equal(far.free, first.free + 3)
+    same = Steps(steps.percept, steps.control, steps.after, torch.ones(60).double(), steps.ended)
+    assert torch.equal(LearnedReward(same, first.free).free, first.free), "nothing was fitted"

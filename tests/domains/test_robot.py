@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cgtorch.domains.exploration import EXPLORATION
-from cgtorch.domains.robot import ProtectiveStop, Robot, episodes_in
+from cgtorch.domains.robot import ProtectiveStop, Robot, dataset_of, episodes_in
 from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
 from cgtorch.ground.errors import DomainError, RobotStoppedError, RunError
 from cgtorch.ground.files import JsonLines
@@ -191,6 +191,13 @@ def test_a_line_that_lacks_something_is_one_error(row: dict[str, Any]) -> None:
     look = {"event": "look", "stage": "S0", "phase": "trials", "episode": 1, "percept": [0, 0]}
     (found,) = episodes_in([{"event": "models", "x": 1}, look, {"event": "asked"}])
     assert (found.succeeded, len(found.actions)) == (None, 0)  # other events are passed over
+
+
+def test_data_have_their_shapes_and_kinds_even_if_there_are_none() -> None:
+    shapes = [(0, 3), (0, 2), (0, 3), (0, 3), (0,)]
+    kinds = [*[torch.float32] * 4, torch.bool]
+    found = vars(dataset_of([], 3, 2)).values()
+    assert [(tuple(rows.shape), rows.dtype) for rows in found] == [*zip(shapes, kinds, strict=True)]
 
 
 def failing(error: Exception) -> Any:

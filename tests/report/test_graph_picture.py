@@ -29,7 +29,16 @@ from cgtorch.graphs import (
 from cgtorch.graphs.clusters import clusters_of
 from cgtorch.improvement.compose import branching_action, compose
 from cgtorch.report import draw_skill
-from cgtorch.report.graph_picture import COLOURS, START
+from cgtorch.report.graph_picture import (
+    BACK,
+    COLOURS,
+    END_BAD,
+    END_GOOD,
+    LINE,
+    OTHERS,
+    START,
+    gid_of,
+)
 from cgtorch.tabletop.actions import paper_actions
 
 PAPER = paper_actions()
@@ -180,6 +189,13 @@ def test_nodes_hold_their_names_and_panels_their_nodes(drawn: tuple[Skill, Pictu
         for outer, inner in ((box, text), (panel, box)):
             assert outer.x0 < inner.x0 < inner.x1 < outer.x1
             assert outer.y0 < inner.y0 < inner.y1 < outer.y1
+    titles = [text for text in picture.figure.axes[0].texts if not text.get_gid()]
+    for title, (path, frame) in zip(titles, panels.items(), strict=True):
+        path, box, text = path.removeprefix("panel:"), picture.box(frame), picture.box(title)
+        count = sum(gid.startswith(f"node:{path}:") for gid in picture.of("node"))
+        assert title.get_text() == f"{path} · {count} node{'s' if count != 1 else ''}"
+        assert box.x0 < text.x0 < text.x1 < box.x1
+        assert box.y0 < text.y0 < text.y1 < box.y1
 
 
 def test_edges_go_from_rim_to_rim_around_all_nodes(drawn: tuple[Skill, Picture]) -> None:
@@ -243,6 +259,76 @@ def test_nodes_are_coloured_by_action(drawn: tuple[Skill, Picture]) -> None:
         assert fills.get(name, set()) <= {COLOURS[kind]}  # which names nothing of the tabletop
     subs = {name for s, _ in skills_of(skill) for name in s.sub_skills}
     assert all(fills[name] <= {"#ffffff"} for name in subs)
+    others = {*fills} - {*wanted, "ContinuousNN", "DelayNN", *subs}
+    assert {fill for name in others for fill in fills[name]} <= {*COLOURS.values(), *OTHERS}
+
+
+def test_a_skill_in_a_node_has_a_second_rim(drawn: tuple[Skill, Picture]) -> None:
+    skill, picture = drawn
+    subs = {name for s, _ in skills_of(skill) for name in s.sub_skills}
+    rims = [p for p in picture.figure.axes[0].patches if not p.get_gid()]
+    holding = [
+        (picture.box(a), gid) for gid, a in picture.of("node").items()
+        if gid.split(":")[2].rpartition("_")[0] in subs
+    ]  # fmt: skip
+    for rim in map(picture.box, rims):
+        assert any(
+            outer.x0 < rim.x0 < rim.x1 < outer.x1 and outer.y0 < rim.y0 < rim.y1 < outer.y1
+            for outer, _ in holding
+        )
+    assert len(rims) == len(holding)
+
+
+def test_colours_say_how_a_skill_ends_and_what_leads_back(drawn: tuple[Skill, Picture]) -> None:
+    from matplotlib.colors import to_hex
+
+    skill, picture = drawn
+    texts = picture.of("text")
+    for cluster in clusters_of(skill):
+        for edge in cluster.edges:
+            gid = gid_of(cluster, edge)
+            arrow, text = picture.named[gid][0], texts[f"text:{gid}"]
+            colour, said = to_hex(arrow.get_edgecolor()), to_hex(text.get_color())
+            if edge.head in cluster.ends:
+                assert colour == (END_GOOD if cluster.ends[edge.head] else END_BAD)
+                assert to_hex(text.get_bbox_patch().get_facecolor()) == colour
+                assert said == "#ffffff"
+                continue
+            line = picture.line(arrow)
+            back = edge.head == edge.tail or line[-1, 1] > line[0, 1]
+            assert colour == said == (BACK if back else LINE)
+            assert text.get_bbox_patch() is None
+
+
+def test_what_is_read_lies_on_what_is_drawn(drawn: tuple[Skill, Picture]) -> None:
+    _, picture = drawn
+    kinds = [picture.of(kind).values() for kind in ("panel", "edge", "node", "text")]
+    orders = [{artist.get_zorder() for artist in kind} for kind in kinds]
+    assert all(not a or not b or max(a) < min(b) for a, b in pairwise(orders))
+
+
+def test_names_of_skills_in_nodes_are_no_formulas() -> None:
+    name = r"$\frac{a}{b}$"
+    inner = Skill(name, graph(["Grasp"], [[-1, 0]]), PAPER)
+    actions = PAPER.extended([name], [SubSkill(inner)])
+    node: Tensor = torch.tensor([[actions.index(name)]])
+    empty = torch.zeros(1, 1, actions.parameter_capacity)
+    skill = Skill("S", Graphs(node, torch.tensor([[[-1, 0]]]), empty, torch.tensor([0])), actions)
+    picture = Picture(skill)
+    box = picture.box(picture.named[f"node:S:{name}_0"][0])
+    text = picture.box(picture.named[f"text:node:S:{name}_0"][0])
+    assert 0.7 * (box.x1 - box.x0) < text.x1 - text.x0 < box.x1 - box.x0
+
+
+def test_pictures_are_the_same_under_any_settings_of_matplotlib() -> None:
+    from matplotlib import rc_context
+    from matplotlib.colors import to_hex
+
+    skill = skill_of(3, 0)
+    with rc_context({"figure.facecolor": "black", "figure.dpi": 50}):
+        figure = draw_skill(skill)
+    assert to_hex(figure.get_facecolor()) == "#ffffff"
+    assert figure.get_dpi() == 100
 
 
 def test_a_skill_used_twice_has_one_panel() -> None:

@@ -56,6 +56,8 @@ def test_a_figure_has_plain_axes_row_by_row() -> None:
         assert [one.spines[side].get_visible() for side in ("top", "right")] == [False] * 2
         assert one.spines["left"].get_visible()
         assert one.get_axisbelow()
+        for axis in (one.xaxis, one.yaxis):
+            assert all(line.get_visible() for line in axis.get_gridlines())
     alone = plain_figure(4, 3, (1, 1), share_x=False)[1]
     alone[0].set_xlim(0, 7)
     assert alone[1].get_xlim() != (0, 7)
@@ -80,7 +82,12 @@ def test_shares_have_their_intervals_and_the_published_one_is_a_line() -> None:
     assert [0.87, 0.87] in [list(line.get_ydata()) for line in dashed]
     assert [text.get_text() for text in axes.get_yticklabels()][:2] == ["0 %", "20 %"]
     assert labels(drawn(draw_success(SHARES, [], "own", "fresh", None))[0]) == ["own"]
-    assert labels(drawn(draw_success([], [], "own", "fresh", None))[0]) == []
+    low, high = axes.get_ylim()
+    assert low == 0
+    assert 1 < high < 1.1, "so that all of a dot at 100 % is seen"
+    (empty,) = drawn(draw_success([], [], "own", "fresh", None))
+    assert labels(empty) == []
+    assert empty.get_xlim() == (-0.5, 0.5)
 
 
 @pytest.mark.parametrize("more", [0, 1])
@@ -108,7 +115,7 @@ ROWS = [
 
 
 def test_each_evolution_is_a_line_and_each_stage_has_an_end() -> None:
-    fitness, unsolved, nodes = draw_fitness(ROWS, ["S0", "S1", "S2"], rewarded=False).axes
+    fitness, unsolved, nodes = draw_fitness(ROWS, ["S9", "S0", "S1", "S2"], rewarded=False).axes
     best = [[(1.0, 0.5), (2.0, 0.6)], [(4.0, 0.7)], [(5.0, 0.8), (6.0, 0.9)]]
     lines = points(fitness)
     assert lines[:3] == best
@@ -130,6 +137,11 @@ def test_each_evolution_is_a_line_and_each_stage_has_an_end() -> None:
         "fitness (eq. 3)", "share with\nfitness 0", "nodes",
     ]  # fmt: skip
     assert not [*unsolved.texts, *nodes.texts]
+    assert nodes.get_xlabel() == "generation of the run"
+    low, high = unsolved.get_ylim()
+    assert -0.1 < low < 0 < 1 < high < 1.1
+    assert unsolved.yaxis.get_major_formatter()(0.75) == "75 %"
+    assert labels(unsolved) == labels(nodes) == []
     assert fitness.get_xlim() == (0.5, 6.5)
     paid = draw_fitness(ROWS, [], rewarded=True).axes
     assert [axes.get_ylabel() for axes in paid[:2]] == ["mean return", "share with\nno return"]
@@ -143,6 +155,15 @@ def test_a_stage_too_short_for_its_name_is_only_marked() -> None:
     many = [f"S{i}" for i in range(13)]
     fitness = draw_fitness([row(s, "a", 0.5) for s in many], many, rewarded=False).axes[0]
     assert not fitness.texts
+    few = many[:-1]
+    fitness = draw_fitness([row(s, "a", 0.5) for s in few], few, rewarded=False).axes[0]
+    assert [text.get_text() for text in fitness.texts] == few
+    for text in fitness.texts:
+        assert (text.xy[1], text.xyann) == (1, (0, 3)), "above"  # type: ignore[attr-defined]
+        assert (text.get_horizontalalignment(), text.get_verticalalignment()) == (
+            "center",
+            "bottom",
+        )
 
 
 def test_rates_are_a_mean_and_the_middle_of_the_population() -> None:
@@ -152,6 +173,8 @@ def test_rates_are_a_mean_and_the_middle_of_the_population() -> None:
     figure = draw_rates(rows, ["S0"])
     assert figure is not None
     grid = figure.axes
+    assert figure.get_supxlabel() == "generation of the run"
+    assert len({axes.get_subplotspec().rowspan.start for axes in grid}) == 2  # type: ignore[union-attr]
     for i, (axes, name) in enumerate(zip(grid, STRATEGY, strict=True), 1):
         assert axes.get_title() == RATES[name]
         assert points(axes)[:2] == [[(2, pytest.approx(0.2 * i))], [(3, pytest.approx(0.2 * i))]]
@@ -160,6 +183,7 @@ def test_rates_are_a_mean_and_the_middle_of_the_population() -> None:
         assert points(axes)[2][0][0] == 2.5  # the end of the stage
         assert not axes.texts
         assert axes.get_ylim()[0] == 0
+        assert axes.get_xlim() == (0.5, 3.5)
 
 
 def test_learning_curves_have_a_place_for_each_size() -> None:
@@ -175,6 +199,9 @@ def test_learning_curves_have_a_place_for_each_size() -> None:
         assert axes.get_xticks(minor=True).tolist() == []
         assert labels(axes) == ["learned from", "held out"]
     assert one.get_position().y0 > other.get_position().y1
+    assert one.get_xlabel() == other.get_xlabel() == "rows learned from"
+    heights = [draw_learning(some).get_size_inches()[1] for some in (curves, curves[:1])]
+    assert heights[0] == 2 * heights[1]
 
 
 def test_a_style_that_all_marks_of_a_group_have_is_said_once() -> None:

@@ -1,26 +1,22 @@
-import io
+"""The lines of a display where there is no terminal, and what all displays print."""
+
 import re
+import threading
 import time
-from contextlib import suppress
 from dataclasses import replace
 
 import pytest
-import torch
 from members import nearly
-from rich.console import Console
+from screens import console, snapshot, text_of
 
-from cgtorch.domains.knowledge import Knowledge, summary_of
-from cgtorch.evolution.fitness import WORST
-from cgtorch.ground.asked import Asked, Purse
-from cgtorch.ground.statistics import Acceptance
+from cgtorch.ground.asked import Asked
 from cgtorch.improvement.events import (
     ChanceFound,
     Event,
-    FreshTested,
     GenerationDone,
+    JournalDamaged,
     MeanTested,
     ModelsFitted,
-    ModelSummary,
     Practised,
     SkillAccepted,
     StageFailed,
@@ -28,35 +24,7 @@ from cgtorch.improvement.events import (
     WorldAsked,
 )
 from cgtorch.report import ProgressDisplay
-from cgtorch.report.messages import asked_of, message_of
-from cgtorch.report.progress import Estimate
-
-
-def console(terminal: bool, width: int = 100) -> Console:
-    return Console(file=io.StringIO(), force_terminal=terminal, width=width, color_system=None)
-
-
-def text_of(display: ProgressDisplay) -> str:
-    assert isinstance(display.console.file, io.StringIO)
-    return display.console.file.getvalue()
-
-
-def snapshot(display: ProgressDisplay, width: int = 100) -> list[str]:
-    """The live lines as they stand."""
-    screen = console(False, width)
-    screen.print(display.live_lines())
-    assert isinstance(screen.file, io.StringIO)
-    return [line.rstrip() for line in screen.file.getvalue().splitlines()]
-
-
-def test_what_models_have_learned_is_told(events: list[Event], knowledge: Knowledge) -> None:
-    fitted = next(e for e in events if isinstance(e, ModelsFitted))
-    said = Acceptance(True, 20, 0.02, 0.01, 0.001), Acceptance(False, 20, 0.03, 0.04, 0.001)
-    learned = replace(knowledge, acceptances=said)
-    assert message_of(replace(fitted, summary=summary_of(learned))).startswith(
-        "S1: Γ was trained on more data; C stays as it was, since its error on earlier data would "
-        "be 0.0400 instead of 0.0300; now from 120 transitions"
-    )
+from cgtorch.report.messages import message_of
 
 
 def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> None:
@@ -94,7 +62,7 @@ def test_plain_lines_one_for_each_event_that_matters(events: list[Event]) -> Non
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-@pytest.mark.parametrize(("seconds", "said"), [(24, False), (26, True)])
+@pytest.mark.parametrize(("seconds", "said"), [(24, False), (25, True)])
 def test_a_long_evolution_is_heard_of_where_there_is_no_terminal(
     events: list[Event], monkeypatch: pytest.MonkeyPatch, seconds: float, said: bool, terminal: bool
 ) -> None:
@@ -120,6 +88,15 @@ def test_a_stage_that_fails_is_told_of(terminal: bool) -> None:
         display(StageFailed("S1", 4))
     said = "S1: no skill keeps W and solves more after 4 attempts; the stage comes back if another"
     assert said in text_of(display).replace("\n", " ")
+
+
+def test_it_is_told_where_thirty_episodes_are_reached(events: list[Event]) -> None:
+    with ProgressDisplay(console(False)) as display:
+        display(next(e for e in events if isinstance(e, ModelsFitted)))
+        for _ in range(4):
+            display(WorldAsked("S1", "trials", Asked(20, 12, 0, 15), 1))
+    assert text_of(display).count("succeeded in the world") == 1
+    assert "of 30 episodes that skills were evolved for, 2 succeeded" in text_of(display)
 
 
 @pytest.mark.parametrize("models", [True, False])
@@ -158,140 +135,6 @@ def test_quiet_prints_nothing(events: list[Event], terminal: bool) -> None:
     assert text_of(display) == ""
 
 
-def test_live_lines_say_where_the_run_is(events: list[Event]) -> None:
-    display = ProgressDisplay(console(True))
-    assert snapshot(display) == []
-    tenth = next(e for e in events if isinstance(e, GenerationDone) and e.generation.number == 9)
-    for event in events[: events.index(tenth) + 1]:
-        display(event)
-    head, bar, numbers = snapshot(display)
-    assert head.startswith("S1  stage 2 of 3  W 6, to solve 5  elapsed 0:0")
-    assert re.search(r"left ≤ \d+:\d\d$", head)
-    assert re.search(r"S1\.1 .* generation 10 of ≤ 45 left ≤ \d:\d\d", bar)
-    fitness = tenth.generation.fitness
-    assert f"best {float(fitness.max()):.3f} mean {float(fitness.mean()):.3f}" in numbers
-    assert f"M {tenth.solved_m}/11" in numbers
-    assert "W " not in numbers  # this candidate has none to keep
-    assert re.search(r"[\d.]+( k| M)? transitions/s$", numbers)
-    for event in events[:-1]:
-        display(event)
-    assert snapshot(display)[3].startswith("  S1: in the world W ")
-    last = [e for e in events if isinstance(e, GenerationDone)][-1]
-    assert last.size_w > 0
-    assert f"W {last.solved_w}/{last.size_w}  M " in snapshot(display)[2]
-
-
-@pytest.mark.parametrize("width", [20, 50, 80])
-def test_live_lines_do_not_wrap(events: list[Event], width: int) -> None:
-    display = ProgressDisplay(console(True, width))
-    for event in events[:-1]:
-        display(event)
-    with display.working("Fitting Γ and C to a great many transitions and labels"):
-        lines = snapshot(display, width)
-    assert len(lines) == 5
-    assert all(len(line) <= width for line in lines)
-
-
-def test_waiting_is_shown_for_as_long_as_it_lasts() -> None:
-    display = ProgressDisplay(console(True))
-    with display.working("Collecting data"):
-        (line,) = snapshot(display)
-        assert re.search(r"Collecting data … 0:00", line)
-        with suppress(ValueError), display.working("Fitting"):
-            assert len(snapshot(display)) == 2
-            raise ValueError
-        assert len(snapshot(display)) == 1
-    assert snapshot(display) == []
-
-
-def test_accepted_skills_stay_above_the_live_lines(events: list[Event]) -> None:
-    with ProgressDisplay(console(True)) as display:
-        for event in events:
-            display(event)
-    shown = text_of(display)
-    assert shown.count("S1: accepted; ") == 1
-    assert "\x1b[?25l" in shown  # there was a live display
-    assert "S1: stage 2" not in shown
-
-
-def test_how_good_the_first_models_are_stays_above_the_live_lines(
-    events: list[Event],
-) -> None:
-    later = next(e for e in events if isinstance(e, ModelsFitted))
-    assert later.stage == "S1"
-    with ProgressDisplay(console(terminal=True)) as display:
-        learned = ModelSummary("Γ was trained on more data; C was trained on more data")
-        for event in (replace(later, stage="start"), replace(later, summary=learned)):
-            display(event)
-    shown = text_of(display)
-    assert "start: Γ errs by " in shown
-    assert "S1: " not in shown
-
-
-def test_the_display_is_taken_away_when_a_run_fails(events: list[Event]) -> None:
-    display = ProgressDisplay(console(True))
-    with suppress(KeyboardInterrupt), display:
-        display(events[0])
-        raise KeyboardInterrupt
-    assert "\x1b[?25h" in text_of(display)  # the cursor is back
-
-
-def test_time_left_is_a_bound(events: list[Event]) -> None:
-    now = 100.0
-    estimate = Estimate(clock=lambda: now)
-    started = events[0]
-    assert isinstance(started, StageStarted)
-    first = next(e for e in events if isinstance(e, GenerationDone))
-    assert estimate.run_left is None
-    estimate.stage_started(started)  # S1 of S0, S1, S2, 4 attempts
-    assert estimate.evolution_left is None
-    for number in range(5):
-        now += 2.0
-        generation = replace(first.generation, number=number, executed=1000)
-        estimate.generation_done(replace(first, generation=generation, limit=20, seconds=2.0))
-    assert estimate.speed == pytest.approx(500)
-    assert estimate.evolution_left == pytest.approx(15 * 2)
-    # 15 generations here, three more attempts, and four in the last stage.
-    assert estimate.run_left == pytest.approx(30 + 3 * 40 + 4 * 40)
-    estimate.evolution_over()
-    assert estimate.evolution_left == 0
-    now += 7.0 + 2.0  # seven seconds between two evolutions
-    estimate.generation_done(
-        replace(first, generation=replace(first.generation, number=0), limit=20, seconds=2.0)
-    )
-    assert estimate.run_left == pytest.approx(19 * 2 + 6 * 47)
-    estimate.evolution_over()
-    estimate.stage_over()
-    assert estimate.run_left == pytest.approx(4 * 47)
-
-
-def test_what_an_unfinished_episode_is_worth_is_on_no_line(events: list[Event]) -> None:
-    told = next(e for e in events if isinstance(e, GenerationDone))
-
-    def shown(fitness: list[float]) -> str:
-        display = ProgressDisplay(console(True))
-        values = torch.tensor(fitness)
-        generation = replace(told.generation, fitness=values, best=float(values.max()))
-        for event in (events[0], replace(told, generation=generation)):
-            display(event)
-        return snapshot(display)[2]
-
-    assert "fitness best -2.000 mean -3.000  M " in shown([-4.0, -2.0, WORST, WORST / 1000])
-    assert "fitness best – mean –  M " in shown([WORST, WORST / 1000])
-
-
-def test_a_round_without_a_new_skill_says_which_one_was_tested() -> None:
-    tested = FreshTested("auto-5", "auto-4", 390, 400, 0.99, decisive=False)
-    assert message_of(tested) == (
-        "auto-5: no skill was accepted; auto-4 was tested again, 390 of 400 fresh scenarios = "
-        "97.5%, the goal is 0.99"
-    )
-    final = replace(tested, decisive=True)
-    assert message_of(final).startswith("auto-5: final test, 390 of 400 fresh scenarios")
-    own = replace(tested, skill="auto-5")
-    assert message_of(own).startswith("auto-5: 390 of 400 fresh scenarios")
-
-
 TRIALS = WorldAsked("S1", "trials", Asked(68, 19, 18, 18), succeeded=17)
 LOOKS = WorldAsked("S1", "looks", Asked(looks=69))
 CHANCE = ChanceFound("S1", 12, 30)
@@ -299,45 +142,6 @@ CHANCE = ChanceFound("S1", 12, 30)
 
 def practised(in_a_row: int) -> Practised:
     return Practised("S1", nearly(0.5), in_a_row, 24)
-
-
-@pytest.mark.parametrize(
-    ("event", "message"),
-    [
-        (TRIALS, "S1: trials: 68 motions and 19 tests, 17 of 18 succeeded"),
-        (replace(TRIALS, recalled=True), "S1: trials: 68 motions and 19 tests, 17 of 18 succeeded"),
-        (
-            WorldAsked("start", "exploration", Asked(84, 65, 14)),
-            "start: exploration: 84 motions and 65 tests",
-        ),
-        (
-            WorldAsked("S1", "practice", Asked(0, 0, 1, 1)),
-            "S1: practice: 0 motions and 0 tests, 0 of 1 succeeded",
-        ),
-        (LOOKS, ""),  # percepts that were only looked at take a robot no time
-        (practised(7), "ahead 0.5: 7 of 24 fresh scenarios solved in a row"),
-        (
-            CHANCE,
-            "S1: under other noise the same skill solves 40% of the 30 scenarios that it solved: "
-            "this world is chance; from now on skills are evolved in it on fresh scenarios, and "
-            "means count (--chance no overrules it)",
-        ),
-        (
-            MeanTested("S1", nearly(0.5), True, 2.8567, 0.0104, 4096, 12, 123456),
-            "S1: mean 2.86 ± 0.02 on 4,096 fresh episodes; 12 in each generation, 123,456 played",
-        ),
-        (
-            MeanTested("S1", nearly(0.5), True, None, None, 0, 4, 192),
-            "S1: mean – on 0 fresh episodes; 4 in each generation, 192 played",
-        ),
-        (
-            FreshTested("auto-2", "auto-2", 5, 16384, 3.0, True, 2.8567, 0.0104),
-            "auto-2: final test, mean return 2.86 ± 0.02 on 16384 fresh episodes, the goal is 3",
-        ),
-    ],
-)
-def test_messages(event: Event, message: str) -> None:
-    assert message_of(event) == message
 
 
 def test_without_a_terminal_what_was_asked_is_a_line_each() -> None:
@@ -348,52 +152,6 @@ def test_without_a_terminal_what_was_asked_is_a_line_each() -> None:
     assert text_of(display).splitlines() == told
 
 
-def test_on_a_terminal_only_chance_stays_above_the_live_lines(events: list[Event]) -> None:
-    with ProgressDisplay(console(True, width=300)) as display:
-        display(events[0])
-        for event in (TRIALS, LOOKS):
-            display(event)
-            assert snapshot(display, 300)[-1] == f"  {message_of(TRIALS)}"
-        display(practised(3))
-        assert snapshot(display, 300)[-1] == f"  {message_of(practised(3))}"
-        display(CHANCE)
-        assert snapshot(display, 300)[-1] == f"  {message_of(practised(3))}"
-        display(events[0])  # the next stage
-        assert len(snapshot(display, 300)) == 1
-    assert text_of(display).count(message_of(CHANCE)) == 1
-    assert "S1: stage 2" not in text_of(display)
-
-
-def test_all_that_was_asked_is_summed_up_with_the_time_it_takes_a_robot() -> None:
-    purse = Purse()
-    purse.add("exploration", Asked(84, 65, 14))
-    purse.add("looks", Asked(looks=69))
-    purse.add("trials", Asked(61, 30, 20, 20))
-    assert asked_of("world", purse) == (
-        "asked of the world: 145 motions, 95 tests, 2.0 h at 30 s (exploration 149, trials 91); "
-        "103 scenes were looked at"
-    )
-
-
-def test_long_work_shows_how_much_is_done_how_fast_and_what_is_left(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    clock = [100.0]
-    monkeypatch.setattr("time.monotonic", lambda: clock[0])
-    display = ProgressDisplay(console(True))
-    display.counted("grasps in physics", 0, 1200)
-    assert snapshot(display) == ["  grasps in physics: 0 of 1,200"]
-    clock[0] += 20
-    display.counted("labels", 0, 50)
-    display.counted("grasps in physics", 300, 1200)
-    line = "  grasps in physics: 300 of 1,200, 15/s, left 1:00"
-    assert snapshot(display) == ["  labels: 0 of 50", line]
-    display.counted("labels", 50, 50)
-    assert snapshot(display) == [line]
-    display.counted("grasps in physics", 0, 10)  # others
-    assert snapshot(display) == ["  grasps in physics: 0 of 10"]
-
-
 def test_work_is_heard_of_where_there_is_no_terminal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -402,23 +160,87 @@ def test_work_is_heard_of_where_there_is_no_terminal(
     display = ProgressDisplay(console(False))
     for done in range(0, 101, 2):
         display.counted("grasps", done, 100)
-        clock[0] += 3
+        clock[0] += 2.5
     lines = text_of(display).splitlines()
     assert lines == [
-        "grasps: 18 of 100, 0.667/s, left 2:03",
-        "grasps: 36 of 100, 0.667/s, left 1:36",
-        "grasps: 54 of 100, 0.667/s, left 1:09",
-        "grasps: 72 of 100, 0.667/s, left 0:42",
-        "grasps: 90 of 100, 0.667/s, left 0:15",
+        "grasps: 20 of 100, 0.8/s, left 1:40",
+        "grasps: 40 of 100, 0.8/s, left 1:15",
+        "grasps: 60 of 100, 0.8/s, left 0:50",
+        "grasps: 80 of 100, 0.8/s, left 0:25",
     ]
 
 
 def test_without_a_terminal_there_is_a_line_wherever_nothing_is_said(
+    monkeypatch: pytest.MonkeyPatch, events: list[Event]
+) -> None:
+    monkeypatch.setattr("cgtorch.report.progress.SILENCE", 0.1)
+    monkeypatch.setattr("cgtorch.report.progress.LOOKED", 0.01)
+    with ProgressDisplay(console(False)) as display:
+        time.sleep(0.2)
+        display(StageStarted("S1", ("S0", "S1"), 0, 3, 24))
+        display(next(e for e in events if isinstance(e, GenerationDone)))
+        time.sleep(0.2)
+        with display.working("collecting"), display.working("fitting"):
+            time.sleep(0.2)
+    lines = text_of(display).splitlines()
+    said = r"0:.. elapsed", r"S1, S1\.1, generation 1, 0:.. elapsed", r"S1, fitting, 0:.. elapsed"
+    heard = [[line for line in lines if re.fullmatch(each, line)] for each in said]
+    assert all(1 <= len(each) <= 5 for each in heard)
+    assert sum(map(len, heard)) == len(lines) - 3, "the others are those of events"
+
+
+def test_nothing_is_said_of_silence_before_it_lasts_nor_after_the_end(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("cgtorch.report.progress.SILENCE", 0.5)
-    with ProgressDisplay(console(False)) as display:
+    monkeypatch.setattr("cgtorch.report.progress.LOOKED", 0.01)
+    others = {*threading.enumerate()}
+    display = ProgressDisplay(console(False))
+    for _ in range(2):  # as it can be used again
+        with display:
+            (looking,) = {*threading.enumerate()} - others
+            assert looking.daemon, "a program does not wait for it"
+            time.sleep(0.1)
+            assert looking.is_alive()
+        looking.join(5)
+        assert not looking.is_alive()
+    assert text_of(display) == ""
+
+
+def test_time_counts_from_where_the_display_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    display = ProgressDisplay(console(False), quiet=True)
+    clock[0] += 50
+    with display:
+        clock[0] += 7
         display(StageStarted("S1", ("S0", "S1"), 0, 3, 24))
-        with display.working("fitting"):
-            time.sleep(2.5)
-    assert "S1, fitting, 0:0" in text_of(display)
+        assert snapshot(display) == ["S1  stage 2 of 2  W 0, to solve 3  elapsed 0:07"]
+
+
+def test_lines_go_to_standard_error_and_have_colours_by_what_they_tell(
+    capsys: pytest.CaptureFixture[str], events: list[Event]
+) -> None:
+    ProgressDisplay().say("a line")
+    assert capsys.readouterr() == ("", "a line\n")
+    display = ProgressDisplay(console(True, 300, coloured=True))
+    accepted = next(e for e in events if isinstance(e, SkillAccepted))
+    told = {StageFailed("S1", 4): 33, CHANCE: 33, accepted: 32, JournalDamaged("S1", ("a",)): 0}
+    for event in told:
+        display(event)
+    display(next(e for e in events if isinstance(e, ModelsFitted)))
+    display(WorldAsked("S1", "practice", Asked(20, 12, 0, 40)))
+    lines = text_of(display).splitlines()
+    for line, colour in zip(lines, (33, 33, 32, 0, 0, 33), strict=True):
+        assert line.startswith(f"\x1b[{colour}m") == bool(colour)
+
+
+def test_a_search_by_means_is_heard_of_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    display = ProgressDisplay(console(False))
+    means = [MeanTested("S1", nearly(0.5), True, i / 2, 0.1, 10, 12, 40) for i in range(5)]
+    for event in means:
+        display(event)
+        clock[0] += 12.5
+    assert text_of(display).splitlines() == [message_of(means[2]), message_of(means[4])]
+    assert snapshot(display) == [f"  {message_of(means[4])}"]

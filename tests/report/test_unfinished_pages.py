@@ -8,7 +8,9 @@ import pytest
 import torch
 from lxml import html
 from report_pages import REFERENCE, change_rows, changed, parsed, thinned, words
+from scipy.stats import binomtest
 
+from cgtorch.ground.asked import NAMES
 from cgtorch.ground.errors import CgtorchError, RunError
 from cgtorch.report.page import report_page
 from cgtorch.runs.journal import FileJournal
@@ -46,10 +48,13 @@ def test_a_run_in_the_middle(tmp_path: Path) -> None:
     folder = thinned(tmp_path / "run", "S0", "S1")
     FileJournal(folder / "journal" / "S2").record("x", {"generations": torch.tensor(7)})
     FileJournal(folder / "journal" / "S1").record("x", {"generations": torch.tensor(9)})
+    FileJournal(folder / "journal" / "S3").record("x", {"generations": torch.tensor(1)})
+    (folder / "journal" / "a note").write_text("which is nobody's journal")
     page = parsed(folder)
     assert missing(page) == [
         "Finished stages: S0, S1. Not finished: S2, S3.",
         "S2 has begun and is not finished; its journal knows 7 generations.",
+        "S3 has begun and is not finished; its journal knows 1 generation.",
     ]
     assert [words(e.find("h3")) for e in page.iter("article")] == [
         "S0: near", "S1: left", "S2: right", "S3: far",
@@ -99,6 +104,37 @@ def test_a_run_without_models_and_events(tmp_path: Path) -> None:
     ]
     assert "No generation is in the run" in words(page.get_element_by_id("evolution"))
     assert "Nothing is known of the models." in words(page.get_element_by_id("models"))
+
+
+def test_a_run_json_that_is_no_object_by_now_is_named(tmp_path: Path) -> None:
+    run = read_run(thinned(tmp_path / "run", "S0", generations=False))
+    (run.folder / "run.json").write_text("[]")
+    with pytest.raises(RunError, match=r"run\.json' holds no object; restore the file"):
+        report_page(run)
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_shares_have_their_intervals_and_low_level_steps_their_columns(tmp_path: Path) -> None:
+    folder = thinned(tmp_path / "run", "S0", models=False, generations=False)
+    none = dict.fromkeys(NAMES, 0)
+    asked = {"trials": none | {"motions": 7, "steps": 90, "simulated": 60}, "looks": none}
+    test = {"scenarios": "left", "tried": 37, "succeeded": 29}
+    change_rows(folder, "result", asked=asked, overall=test)
+    page = parsed(folder)
+    low, high = binomtest(29, 37).proportion_ci(0.95, "wilson")
+    assert f"29 of 37 = 78.4% (95 %: {low:.1%} to {high:.1%}) on left" in words(page)
+    (table,) = [e for e in page.iter("table") if "asked of the world" in words(e.find("caption"))]
+    rows = [[words(cell) for cell in row.iter("th", "td")] for row in table.iter("tr")]
+    assert rows[0][-2:] == ["low-level steps", "of them simulated"]
+    assert rows[1] == ["trials", "7", "0", "0", "0", "90", "60"]
+    assert rows[-1] == ["all", "7", "0", "0", "0", "90", "60"]
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_a_world_that_counts_nothing_has_no_table_of_it(tmp_path: Path) -> None:
+    folder = thinned(tmp_path / "run", "S0", models=False, generations=False)
+    change_rows(folder, "result", asked={})
+    assert "What was asked" not in words(parsed(folder))
 
 
 def test_half_a_log(tmp_path: Path) -> None:
