@@ -213,7 +213,7 @@ def shrunk(
         well = (fitnesses >= before - slack) & (succeeded | ~solved).all(1)
         if not well.any():
             break
-        nodes = smaller.num_nodes.masked_fill(~well, champion.graphs.capacity + 1)
+        nodes = smaller.num_nodes.masked_fill(~well, champion.graphs.capacity)
         best = nodes == nodes.amin()
         index = int(fitnesses.masked_fill(~best, -torch.inf).argmax())
         champion = replace(champion, graphs=smaller[index : index + 1])

@@ -233,6 +233,7 @@ def test_what_is_asked_is_counted_and_told(
         assert sum((e.asked for e in events if e.phase == phase), Asked()) == spent
     assert sum(e.succeeded for e in events) == sum(len(each.succeeded) for each in watched.log)
     assert not any(e.recalled for e in events)
+    assert all(e.asked != Asked() for e in events)
 
 
 def test_first_percepts_to_practise_on_are_looks_at_fresh_scenarios(
