@@ -8,10 +8,13 @@ from typing import Any
 import driven_cart
 import pytest
 import torch
-from reaching import TABLE
+from reaching import TABLE, TABLE_MODELS, small_knowledge
 from support import seeded
-from walking import Walking
+from torch import Tensor
+from walking import END, PLACE, StagedWalking, Walking, Walks
+from walking import Path as WalkedPath
 
+from cgtorch.domains.domain import Specialists
 from cgtorch.domains.knowledge import summary_of
 from cgtorch.evolution import (
     REWARDS,
@@ -20,8 +23,11 @@ from cgtorch.evolution import (
     chance_of_success,
     episode_return,
     lexicase,
+    race,
 )
-from cgtorch.ground.asked import Purse
+from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.environment import Lanes
+from cgtorch.improvement.checkpoint import Journal
 from cgtorch.improvement.events import Event
 from cgtorch.improvement.setup import Progress
 from cgtorch.runs.settings import RunSettings
@@ -31,9 +37,14 @@ from cgtorch.training.context import (
     COST,
     LIVE_ATTEMPTS,
     LOOKS,
+    NEW,
     REPLAYS,
+    ROUNDS,
     SEARCHES,
     SETTLED,
+    SMALL,
+    STRUCTURAL,
+    WITH_TEST,
     Training,
     evolution_settings,
     for_means,
@@ -190,3 +201,164 @@ def test_a_robot_is_improved_as_one(tmp_path: Path) -> None:
     run = StoredRun(tmp_path / "run", RunSettings(), domain, domain.actions(), repeats=False)
     setup = training_of(run).setup("auto-1")
     assert (setup.live, setup.repeats, setup.remembers) == (True, False, False)
+
+
+class CountedPath(WalkedPath):
+    """A path whose low-level steps are counted, on which a search may hurry."""
+
+    def __init__(self, scenarios: Walks, slow: bool = True) -> None:
+        super().__init__(scenarios)
+        self.slow = slow
+
+    @property
+    def asked(self) -> Asked:
+        return Asked(steps=3)
+
+    def hurried(self) -> "CountedPath":
+        return CountedPath(self.scenarios, slow=False)
+
+
+class EndingPath(WalkedPath):
+    """A path without rewards, whose walks end by a fall."""
+
+    def over(self, lanes: Lanes) -> Tensor:
+        return lanes.state[:, PLACE].abs() > END
+
+
+class CountedWalking(Walking):
+    """Walks whose low-level steps are counted, with specialists of their own."""
+
+    specialists = Specialists(lambda *about: about[1].nonzero()[:, 0], 5, 40, 3, 9)
+
+    def world(self, scenarios: Walks) -> Any:
+        return CountedPath(scenarios)
+
+
+class EndingWalking(Walking):
+    def world(self, scenarios: Walks) -> Any:
+        return EndingPath(scenarios)
+
+
+def run_of(domain: Any, **settings: Any) -> StoredRun:
+    return StoredRun(Path("none"), RunSettings(**settings), domain, domain.actions())
+
+
+COUNTED = run_of(CountedWalking())
+
+
+def best_share(evolution: EvolutionSettings) -> float:
+    """How often the better of two individuals, whose scores are equal, becomes a parent."""
+    order, scores = torch.tensor([0, 1]), torch.zeros(2, 1)
+    chosen = evolution.selection(order, scores, 4000, seeded(0))
+    return float((chosen == 0).float().mean())
+
+
+def test_where_steps_are_counted_half_of_each_generation_is_new_and_races() -> None:
+    counted = replace(COUNTED, settings=RunSettings(population=31, islands=2, migration=7))
+    found = evolution_settings(counted)
+    assert (found.population, found.newcomers) == (31, 31 // NEW)
+    assert found.evaluate is race
+    assert (found.initial_nodes, found.strategy) == (SMALL, STRUCTURAL)
+    assert best_share(found) == pytest.approx(1 - 0.5**ROUNDS, abs=0.02)
+    assert (found.islands, found.migration) == (2, 7)
+    usual = evolution_settings(RUN)
+    assert (usual.newcomers, usual.strategy) == (0, EvolutionSettings().strategy)
+    assert usual.evaluate is not race
+
+
+def test_where_steps_are_counted_a_search_ends_once_all_is_solved_and_remembers() -> None:
+    setup = training_of(COUNTED).setup("auto-1")
+    assert (setup.budget.enough, training_of(RUN).setup("S0").budget.enough) == (0.0, 0.97)
+    assert (setup.looks, setup.remembers) == (setup.group, True)
+    assert not training_of(replace(COUNTED, repeats=False)).setup("auto-1").remembers
+    noisy = replace(RUN, settings=RunSettings(models="none"))
+    assert not training_of(noisy).setup("S0").remembers
+
+
+def test_a_domain_has_specialists_of_its_own() -> None:
+    own, setup = CountedWalking.specialists, training_of(COUNTED).setup("auto-1")
+    assert (setup.group, setup.widest, setup.team, setup.budget.stall) == (5, 40, 3, 9)
+    assert setup.group_of is own.group_of
+
+
+def test_a_search_hurries_where_it_may_and_the_world_does_not() -> None:
+    scenarios = COUNTED.domain.draw("any", 3, seeded(0))
+    setup = training_of(COUNTED).setup("auto-1")
+    world: Any = setup.imagine(None, scenarios, torch.zeros(3, 2), 1, seeded(0), "cpu")
+    assert not world.slow
+    assert torch.equal(world.scenarios.place, scenarios.place)
+    unhurried: Any = setup.world_of(scenarios)
+    assert unhurried.slow
+    walks = training_of(WALKS).setup("auto-1").imagine(None, scenarios, torch.zeros(3, 2), 1)  # type: ignore[call-arg]
+    assert type(walks) is type(WALKING.world(scenarios))
+
+
+def test_with_models_a_search_is_in_these_from_the_first_percepts() -> None:
+    assert RUN.learns
+    scenarios = TABLE.draw("near", 3, seeded(0))
+    percepts, rows = torch.rand(3, 7, generator=seeded(1)), torch.arange(6)
+    setup, known = training_of(RUN).setup("S0"), small_knowledge()
+    found = setup.imagine(known, scenarios, percepts, 2, seeded(5), "cpu")
+    wanted = TABLE_MODELS.imagine(known, percepts, 2, seeded(5), "cpu")
+    assert type(found) is type(wanted)
+    assert torch.equal(found.start(rows)[1], wanted.start(rows)[1])
+    assert (setup.replays, setup.learn is not None) == (8, True)
+    alone = training_of(replace(RUN, settings=RunSettings(models="none"))).setup("S0")
+    assert (alone.replays, alone.replicas, alone.learn) == (2, 2, None)
+
+
+def test_device_and_journal_reach_improvement() -> None:
+    journal = Journal()
+    training = replace(training_of(RUN), device="cuda:7")
+    assert training.setup("S0", journal).journal is journal
+    assert training.setup("S0").device == "cuda:7"
+
+
+def test_with_rewards_the_search_goes_on_for_some_generations_beyond_the_target() -> None:
+    budget = training_of(WALKS).setup("auto-1").budget
+    assert budget.patience < training_of(RUN).setup("S0").budget.patience
+    staged = StagedWalking()
+    setup = training_of(run_of(staged)).setup("first")
+    assert (setup.practice, setup.looks) == (150, LOOKS), "rounds alone try fresh episodes"
+
+
+@pytest.mark.parametrize("rounds", [1, 2, 5])
+def test_a_tournament_has_as_many_rounds_as_the_settings_say(rounds: int) -> None:
+    """By the paper's method, with rewards, and in a search for means."""
+    wanted = pytest.approx(1 - 0.5**rounds, abs=0.03)
+    for run in (
+        replace(RUN, settings=RunSettings(method="paper", tournament=rounds)),
+        replace(WALKS, settings=RunSettings(tournament=rounds)),
+        run_of(EndingWalking(), tournament=rounds),
+    ):
+        assert best_share(evolution_settings(run)) == wanted
+    run = replace(RUN, settings=RunSettings(tournament=rounds))
+    assert best_share(for_means(run, training_of(run).setup("auto-1"), 0.5).evolution) == wanted
+
+
+def test_episodes_that_end_by_themselves_have_the_first_graphs_of_rewards() -> None:
+    """Unless Γ and C, which have no end, are at hand, or the paper's method is asked for."""
+    ending = run_of(EndingWalking())
+    found = evolution_settings(ending)
+    assert (found.initial_nodes, found.first_graphs) == (
+        REWARDS.initial_nodes,
+        REWARDS.first_graphs,
+    )
+    assert found.lineages == ending.settings.lineages
+    assert found.fitness == ChanceOfSuccess(COST)
+    for settings in ({"models": "learned"}, {"method": "paper"}, {"islands": 2}):
+        other = evolution_settings(run_of(EndingWalking(), **settings))
+        assert other.initial_nodes == EvolutionSettings().initial_nodes
+        assert (other.selection is lexicase) is (settings == {"models": "learned"})
+    means = for_means(ending, training_of(ending).setup("auto-1"), 0.5).evolution
+    assert means.initial_nodes == REWARDS.initial_nodes
+    assert for_means(RUN, training_of(RUN).setup("S0"), 0.5).evolution.initial_nodes == WITH_TEST
+
+
+def test_a_population_for_means_is_that_of_the_domain_or_of_the_user() -> None:
+    """Only the usual one gives way to that of a search for means."""
+    setup = training_of(RUN).setup("auto-1")
+    usual = RunSettings.population
+    for chosen, wanted in ((usual, REWARDS.population), (usual + 1, usual + 1), (7, 7)):
+        run = replace(RUN, settings=RunSettings(population=chosen))
+        assert for_means(run, setup, 0.5).evolution.population == wanted

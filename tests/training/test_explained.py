@@ -20,12 +20,13 @@ from cgtorch.training.explained import (
     EPISODES,
     KNOWN,
     MISSED,
+    _searched,
     _wanted,
     background_of,
     explained,
     searched_of,
 )
-from cgtorch.training.train import FRESH
+from cgtorch.training.train import FRESH, FRESH_SEED
 
 
 def rows(count: int, limit: int, best: list[float], **more: Any) -> list[dict[str, Any]]:
@@ -94,6 +95,44 @@ def test_why_a_search_ended(more: list[dict[str, Any]], ended: tuple[str, float]
     assert (alone and alone.ended) == (ended[0] if told else None)
 
 
+def test_the_last_evolution_tells_whether_fitness_rises_and_all_of_them_the_rest() -> None:
+    first = rows(20, 30, [0.1, 0.2, 0.3, 0.9], solved_w=2, solved_m=1)
+    last = [row | {"candidate": "S0.2"} for row in rows(8, 8, [0.1, 0.1, 0.1, 0.4], unsolved=0.2)]
+    other = [row | {"stage": "S1"} for row in rows(5, 40, [1.0], solved_m=3)]
+    found = searched_of([*first, *other, *last], "S0")
+    assert found is not None
+    assert (found.generations, found.limit, found.rising, found.best) == (28, 8, True, 0.9)
+    assert (found.solving, found.imagined, found.met) == (0.8, (3, 5), (0, 0))
+    later = searched_of([*first, *last, *other], "")
+    assert later is not None
+    assert (later.stage, later.generations, later.imagined) == ("S1", 5, (4, 5))
+    few = searched_of(rows(1, 1, [0.5]), "S0")
+    assert few is not None
+    assert not few.rising, "there is nothing before it"
+    none = searched_of([row | {"best": None} for row in first], "S0")
+    assert none is not None
+    assert (none.best, none.rising) == (float("-inf"), False)
+
+
+def test_a_stage_that_has_begun_without_a_generation_may_have_solved_anything() -> None:
+    begun = {"event": "stage", "stage": "S0"}
+    found = searched_of([begun], "")
+    assert found is not None
+    assert (found.stage, found.generations, found.limit, found.solving) == ("S0", 0, 0, 1.0)
+    assert (found.ended, found.rising, found.best) == ("interrupted", False, float("-inf"))
+    assert searched_of([begun], "S1") is None
+    assert searched_of([], "") is None
+
+
+def test_half_of_the_usual_is_little(tmp_path: Path) -> None:
+    for population, scarce in ((200, ("--population 200 (usually 400)",)), (201, ())):
+        run = planned_run(tmp_path / "run", RunSettings(population=population))
+        found = _searched(run, rows(3, 20, [0.5]), "S0")
+        assert found is not None
+        assert found.scarce == scarce
+        assert _searched(run, [], "S0") is None
+
+
 def test_limits_and_low_settings_are_known(trained: Trained) -> None:
     """The small run has a population of 60 in place of 400, and so on."""
     ended = {"event": "ended", "stage": "auto", "reached": False, "target": 0.9}
@@ -115,6 +154,7 @@ def test_kinds_of_stages_that_were_not_made_are_marked(trained: Trained, tmp_pat
     run = interrupted(trained, tmp_path / "run")
     why = explained(run)
     assert why is not None
+    assert why.seed == FRESH_SEED + run.settings.seed
     made = {each.kind: each.made for each in why.found.tried}
     assert made["near"]
     assert not made["left"]

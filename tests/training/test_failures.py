@@ -219,6 +219,47 @@ def test_what_tells_failures_from_successes_at_the_start(above: bool) -> None:
     assert split_of(chance, named("a", "b", "c")) is None
 
 
+def test_equal_numbers_are_on_one_side_of_a_threshold() -> None:
+    """Though the order of the scenarios would divide them."""
+    percepts = torch.tensor([0.0] * 20 + [1.0] * 20)[:, None]
+    failed = torch.arange(40) >= 30
+    split = split_of(Score(None, percepts, ~failed), named("a"))
+    assert split is not None
+    assert (split.threshold, split.failed, split.solved) == (0.5, (10, 10), (10, 30))
+    turned = split_of(Score(None, -percepts, ~failed), named("a"))
+    assert turned is not None
+    assert (turned.threshold, turned.above, turned.failed) == (-0.5, False, (10, 10))
+
+
+@pytest.mark.parametrize(("numbers", "fewest"), [(3, 3), (20, 4)])
+def test_the_more_numbers_there_are_the_more_failures_tell_something(
+    numbers: int, fewest: int
+) -> None:
+    """With f of 40 failing, 2 · numbers · exp(-2 f (40 - f) / 40) has to be 5 % at most."""
+    percepts = torch.zeros(40, numbers)
+    percepts[:, 1] = torch.arange(40.0)
+    for failures_, told in ((fewest - 1, False), (fewest, True)):
+        score = Score(None, percepts, torch.arange(40) >= failures_)
+        assert (split_of(score, named(*map(str, range(numbers)))) is not None) is told
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.45, False), (0.55, True)])
+def test_a_number_has_to_tell_three_of_four_apart(share: float, told: bool) -> None:
+    """A balanced accuracy of (1 + share) / 2, in so many scenarios that it is no chance."""
+    good = torch.arange(2000) % 2 == 0
+    percepts = (~good & (torch.arange(2000) < 2000 * share)).float()[:, None]
+    assert (split_of(Score(None, percepts, good), named("a")) is not None) is told
+
+
+def test_a_number_without_a_name_has_its_place() -> None:
+    percepts = torch.stack([torch.zeros(40), torch.arange(40.0)], 1)
+    split = split_of(Score(None, percepts, torch.arange(40) < 20), named("a"))
+    assert split is not None
+    assert (split.name, split.unit, split.threshold) == ("1", "", 19.5)
+    for good in (torch.ones(40, dtype=torch.bool), torch.zeros(40, dtype=torch.bool)):
+        assert split_of(Score(None, percepts, good), named("a")) is None
+
+
 def test_a_film_of_each_kind_where_the_domain_draws(tmp_path: Path) -> None:
     domain = make_domain("gymnasium:CartPole-v1")
     actions = domain.actions()

@@ -1,25 +1,51 @@
 """What is asked of a training, and what a run that goes on tells of its changes."""
 
 import json
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
-from support import create_run
+from members import nearly
+from reaching import TABLE
+from support import create_run, seeded
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from walking import StagedWalking, Walking
 
 import cgtorch
+from cgtorch import native, write_data
+from cgtorch.domains.settings import LAST, DomainSettings
+from cgtorch.evolution.population import random_population
+from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NAMES, Purse
-from cgtorch.ground.errors import RunError, SettingsError
-from cgtorch.runs.journal import TakenOver, remember_goal
+from cgtorch.ground.environment import Dataset
+from cgtorch.ground.errors import DataError, RunError, SettingsError
+from cgtorch.improvement.checkpoint import Found
+from cgtorch.improvement.events import (
+    Event,
+    EvolutionRecalled,
+    SkillAccepted,
+    StageStarted,
+    TrainingEnded,
+)
+from cgtorch.report import ProgressDisplay
+from cgtorch.runs.journal import FileJournal, TakenOver, goes_on_to, remember_goal
 from cgtorch.runs.settings import Goal, RunSettings
-from cgtorch.runs.stored_run import StoredRun
+from cgtorch.runs.stored_run import StoredRun, read_about
+from cgtorch.runs.writer import WRITER
+from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.training import train as module
 from cgtorch.training.session import (
     TrainingRequest,
     Work,
+    _board,
     _changes,
     _earlier_stages,
     _one_thread_each,
+    _stage,
+    begun,
+    carry_out,
     continued,
     prepared,
     resumed,
@@ -92,8 +118,10 @@ def test_stages_that_come_first_are_told(
 
 def test_torch_has_one_thread_for_a_while() -> None:
     torch.set_num_threads(2)
+    compiled = native.use_threads(99)
     with _one_thread_each():
         assert torch.get_num_threads() == 1
+        assert native.use_threads(compiled) == ranks.cores(), "compiled code has all of its cores"
     assert torch.get_num_threads() == 2
 
 
@@ -107,9 +135,167 @@ def test_a_goal_is_for_rounds(run: StoredRun) -> None:
     again = prepared(run, run.settings, TrainingRequest(goal={"rounds": 3}, budget={"motions": 4}))
     assert (again.stage, again.goal.target, again.goal.rounds) == ("auto", 0.9, 3)
     assert again.purse.limits == {"motions": 4}
+    assert goes_on_to(run)["goal"] == {"target": 0.9, "minutes": Goal().minutes, "rounds": 3}
+    other = prepared(run, run.settings, TrainingRequest("auto", {"rounds": 3}))
+    assert other.goal == Goal(rounds=3), "as who names the stage begins anew"
     stage = prepared(run, run.settings, TrainingRequest("S1"))
     assert (stage.stage, stage.auto, stage.goal) == ("S1", False, Goal())
+    assert goes_on_to(run) == {"stage": "S1"}
     assert prepared(run, run.settings, TrainingRequest()).stage == "S1"
+
+
+@pytest.mark.parametrize("part", ["start", "journal"])
+def test_work_on_what_has_begun_is_not_new(part: str, run: StoredRun) -> None:
+    (run.folder / part).mkdir()
+    assert not prepared(run, run.settings, TrainingRequest()).new
+
+
+@dataclass(frozen=True)
+class Staged(DomainSettings):
+    """Settings under which all stages are made by default."""
+
+    usual_stage: ClassVar[str] = LAST
+
+
+def test_the_usual_stage_is_that_of_the_domain(run: StoredRun) -> None:
+    assert prepared(run, run.settings, TrainingRequest()).stage == "S2"
+    staged = StagedWalking()
+    object.__setattr__(staged, "stages", {"first": "short", "second": "any"})
+    walks = replace(run, domain=staged)
+    assert _stage(walks, TrainingRequest(), {}) == "auto"
+    staged.settings = Staged()
+    assert _stage(walks, TrainingRequest(), {}) == "second"
+    assert _stage(walks, TrainingRequest(), {"stage": "first"}) == "first"
+
+
+def test_with_rewards_the_target_is_a_return(run: StoredRun) -> None:
+    walks = replace(run, domain=Walking())
+    for given, target in (({}, Walking.target_return), ({"target": -7.0}, -7.0)):
+        assert prepared(walks, run.settings, TrainingRequest("auto", given)).goal.target == target
+
+
+def test_a_run_that_has_produced_nothing_takes_other_settings(tmp_path: Path) -> None:
+    """One that has done so is not changed."""
+    folder, own, request = tmp_path / "run", DomainSettings(), TrainingRequest()
+    settings = RunSettings(domain="examples.cart:Cart")
+    for population in (30, 40):
+        with begun(folder, replace(settings, population=population), own, request) as run:
+            assert (folder / WRITER).exists()  # nobody else writes
+            assert read_about(folder)["settings"]["population"] == population
+            assert run.settings.population == population
+    (folder / "start").mkdir()
+    with begun(folder, replace(settings, population=40), own, request) as run:
+        assert run.settings.population == 40
+    other = replace(settings, population=50)
+    says = r"has population 40, not 50; choose another run folder \(folder, --run-dir\)"
+    with pytest.raises(SettingsError, match=says), begun(folder, other, own, request):
+        pass
+    assert read_about(folder)["settings"]["population"] == 40
+    assert not (folder / WRITER).exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "request_", "error"),
+    [
+        ({}, TrainingRequest("S9"), SettingsError),
+        ({}, TrainingRequest("auto", {"target": 1.5}), SettingsError),
+        ({"data": ("none.csv",)}, TrainingRequest(), DataError),
+    ],
+)
+def test_what_cannot_work_leaves_no_folder(
+    settings: dict[str, Any], request_: TrainingRequest, error: type[Exception], tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    with (
+        pytest.raises(error),
+        begun(folder, RunSettings(**settings), TabletopSettings(), request_),
+    ):
+        pass
+    assert not folder.exists()
+
+
+def test_data_of_a_run_that_begins_are_in_the_form_that_it_reads(tmp_path: Path) -> None:
+    data = Dataset(torch.rand(3, 7), torch.rand(3, 3), torch.rand(3, 7), torch.rand(2, 7),
+                   torch.tensor([True, False]))  # fmt: skip
+    write_data(tmp_path / "log.csv", data, TABLE.percept, TABLE.control)
+    settings = RunSettings(data=(str(tmp_path / "log.csv"),))
+    with begun(tmp_path / "run", settings, TabletopSettings(), TrainingRequest()) as run:
+        assert run.settings.data == settings.data
+
+
+def accepts(setup: Any, progress: Any, tests: Any, draw: Any) -> Any:
+    """A method that finds a skill for all tests at once."""
+    skill = replace(nearly(0.5), name=setup.name)
+    everything, every = tests.joined(progress.missed), torch.ones(len(tests), dtype=torch.bool)
+    every = torch.ones(len(everything), dtype=torch.bool)
+    setup.watch(SkillAccepted(setup.name, skill, everything, every, ~every, every, 1.0))
+    return replace(progress, skill=skill, solved=progress.solved.joined(everything))
+
+
+def work_of(run: StoredRun, stage: str, purse: Purse) -> Work:
+    taken = TakenOver(run, {"practice": (5, 6)}, "S0", None)
+    return Work(run, stage, Goal(), taken, TrainingRequest(), False, purse)
+
+
+@pytest.fixture
+def plain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StoredRun:
+    """A run that is trained in a moment."""
+    monkeypatch.setitem(module.METHODS, "compose", accepts)
+    run = create_run(tmp_path / "run", RunSettings(models="none"))
+    return replace(run, domain=TABLE)
+
+
+def test_a_training_says_what_is_made_and_changed_and_tells_everything(
+    plain: StoredRun, capfd: pytest.CaptureFixture[str]
+) -> None:
+    told, threads = list[Event](), set[int]()
+
+    def watch(event: Event) -> str:
+        told.append(event)
+        threads.add(torch.get_num_threads())
+        return "only True ends it"
+
+    purse = Purse()
+    with ProgressDisplay(quiet=False) as display:
+        found = carry_out(work_of(plain, "S1", purse), display, watch)
+    text = "".join(capfd.readouterr())
+    assert text.index("S1 builds on S0") < text.index("practice is 6 instead of 5 from S0 on")
+    assert [result["stage"] for result in found] == ["S0", "S1"]
+    assert found == plain.results
+    assert threads == {1}
+    assert [e.stage for e in told if isinstance(e, StageStarted)] == ["S0", "S1"]
+    assert not any(isinstance(event, TrainingEnded) for event in told)
+    assert list(plain.folder.glob("*.tfevents.*"))
+
+
+def test_a_training_that_is_stopped_returns_what_it_has(plain: StoredRun) -> None:
+    def stop(event: Event) -> bool:
+        return isinstance(event, SkillAccepted) and event.stage == "S1"
+
+    with ProgressDisplay(quiet=True) as display:
+        found = carry_out(work_of(plain, "S3", Purse()), display, stop)
+    assert [result["stage"] for result in found] == ["S0"]
+
+
+def test_pictures_and_numbers_go_on_where_an_interruption_has_left_them(run: StoredRun) -> None:
+    """First models are one step, and what is recalled counts once it is told."""
+    (run.folder / "start").mkdir()
+    journal = FileJournal(run.folder / "journal" / "S0")
+    journal.record("evolution", {"generations": torch.tensor(5)})
+    champion = random_population(1, run.actions, 4, (2, 4), seeded(0))
+    found = Found(champion, torch.zeros(0), 0.5, 2, generations=5, transitions=30, seconds=1.5)
+    with _board(run, {"population": 4321}) as board:
+        assert board.step == 1  # type: ignore[attr-defined]
+        board(StageStarted("S0", ("S0",), 0, 5, 3))
+        board(EvolutionRecalled("S0", "S0.1", found))
+        assert board.step == 6  # type: ignore[attr-defined]
+        tests = TABLE.tests("near")
+        good = torch.ones(5, dtype=torch.bool)
+        board(SkillAccepted("S0", nearly(0.5), tests, good, ~good, good, 1.5))
+    written = EventAccumulator(str(run.folder), size_guidance={"images": 0, "tensors": 0}).Reload()
+    tags = written.Tags()
+    assert tags["images"] == ["graph/best", "scenarios/solved"]
+    assert "4321" in str(written.Tensors("settings/text_summary"))
 
 
 def test_a_goal_that_is_damaged_is_refused(run: StoredRun) -> None:

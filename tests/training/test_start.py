@@ -19,8 +19,9 @@ from trained import SMALL
 
 from cgtorch import write_data
 from cgtorch.domains.exploration import EXPLORATION
+from cgtorch.domains.live import OnRobot
 from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
-from cgtorch.ground.environment import Dataset
+from cgtorch.ground.environment import Dataset, start_lanes
 from cgtorch.ground.errors import DataError, SettingsError
 from cgtorch.improvement.events import Event, ModelsFitted, WorldAsked
 from cgtorch.runs.settings import RunSettings
@@ -259,3 +260,11 @@ def test_a_robot_is_explored_as_one(live: bool, tmp_path: Path) -> None:
     found = module._exploration(training, seeded(0), known)
     assert (found.live, found.most, found.known) == (live, 70, known)
     assert found.purse is training.purse
+    assert found.lanes == (module.LANES if run.repeats else 1)
+    world: Any = found.worlds(run.kind, 1)
+    lanes = start_lanes(world, torch.arange(1), 4, 4)
+    world.step(lanes, torch.full((1, len(domain.control)), 0.25))
+    assert training.purse.spent[EXPLORATION].motions == 1
+    if isinstance(domain, OnRobot):  # another training knows of it
+        again = driven_cart.cart(tmp_path / "log")
+        assert again.actor.explored(2, 1)[0].control.tolist() == [[0.25]]

@@ -3,17 +3,27 @@
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy
 import pytest
 import torch
 from lxml import etree
+from yourdfpy.urdf import Inertial, Joint, Limit, Link
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import Robot, load_robot, robots_folder
 from cgtorch.tabletop.physics import Physics, Thing
-from cgtorch.tabletop.physics.bodies import rigid_bodies
+from cgtorch.tabletop.physics.bodies import (
+    LEAST_INERTIA,
+    LEAST_MASS,
+    _mass,
+    closed_at,
+    gripper_joints,
+    limit_of,
+    rigid_bodies,
+)
 from cgtorch.tabletop.physics.model import build
 from cgtorch.tabletop.physics.scene import Scene, put
 
@@ -109,3 +119,58 @@ def test_an_exclude_of_a_missing_link_is_named(tmp_path: Path) -> None:
     (tmp_path / "robot.json").write_text(json.dumps(words))
     with pytest.raises(RobotError, match="no link 'no_link'"):
         Physics(load_robot(urdf)).model(0, 0)
+
+
+def placed(name: str, mass: float, inertia: object, x: float) -> Any:
+    """A link with a mass at x."""
+    origin, pose = numpy.eye(4), numpy.eye(4)
+    pose[0, 3] = x
+    return Link(name, inertial=Inertial(origin=origin, mass=mass, inertia=inertia)), pose
+
+
+def test_two_masses_at_a_distance_have_the_moments_of_a_dumbbell() -> None:
+    """A link of which no inertia is told is a point; one without mass counts for nothing."""
+    moments = numpy.diag([0.1, 0.2, 0.3])
+    parts = [placed("one", 3.0, None, 0.0), placed("two", 1.0, moments, 4.0)]
+    none = [(Link("none", inertial=None), numpy.eye(4)), placed("light", 0.0, moments, 9.0)]
+    mass, centre, inertia = _mass([*parts, *none])
+    assert mass == 4.0
+    assert centre.tolist() == [1.0, 0.0, 0.0]
+    reduced = 3.0 * 1.0 / 4.0 * 4.0**2
+    wanted = [0.1, 0.2 + reduced, 0.3 + reduced]
+    assert inertia.diagonal() == pytest.approx(wanted, abs=1e-3)
+    assert numpy.allclose(inertia, numpy.diag(inertia.diagonal()))
+
+
+def test_a_body_without_mass_has_the_least_that_can_be_simulated() -> None:
+    mass, centre, inertia = _mass([])
+    assert mass == LEAST_MASS
+    assert centre.tolist() == [0.0] * 3
+    assert numpy.array_equal(inertia, LEAST_INERTIA * numpy.eye(3))
+
+
+def test_fingers_close_to_the_limit_farther_from_where_they_are_held(robot: Robot) -> None:
+    """Others, and those that turn without limits, stay."""
+    fingers = gripper_joints(robot, 0)
+    assert fingers
+    for joint in fingers:
+        held = robot.description.held.get(joint.name)
+        at = closed_at(joint, robot)
+        if held is None:
+            assert at == 0.0
+        else:
+            ends = float(joint.limit.lower), float(joint.limit.upper)
+            assert at in ends
+            assert abs(at - held) == max(abs(end - held) for end in ends)
+    turning = Joint("free", type="continuous", limit=None)
+    assert closed_at(turning, robot) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("value", "found"), [(None, 7.0), (0.0, 7.0), (-1.0, 7.0), (1e6, 7.0), (3.0, 3.0), (0.5, 0.5)]
+)
+def test_a_limit_that_says_nothing_is_the_usual_one(value: float | None, found: float) -> None:
+    joint = Joint("any", type="revolute", limit=Limit(effort=value, velocity=2.0))
+    assert limit_of(joint, "effort", 7.0) == found
+    assert limit_of(joint, "velocity", 7.0) == 2.0
+    assert limit_of(Joint("any", type="revolute", limit=None), "effort", 7.0) == 7.0

@@ -47,6 +47,17 @@ def test_it_keeps_the_interface_and_begins_like_the_kinematic_world(physics: Phy
     assert torch.equal(lanes.state[:, :12], expected.state)
 
 
+def test_the_object_stands_upright_on_the_table_at_first(physics: Physics) -> None:
+    world, lanes = begun(physics)
+    rows = world.scene(lanes.state)
+    assert rows.shape == (4, 16)
+    assert rows[:, -4:].tolist() == [[1.0, 0.0, 0.0, 0.0]] * 4
+    tops = world.scenarios.table[:, 5]
+    assert torch.allclose(rows[:, -5], tops + physics.thing.half_height)
+    assert torch.equal(rows[:, 9:11], world.scenarios.object)
+    assert torch.allclose(world.placed(lanes.state)[:, 2], tops)
+
+
 def test_rows_do_not_depend_on_one_another_nor_on_processes(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,75 @@
+"""Where the camera of a film stands, and when it takes a picture."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy
+import pytest
+import torch
+
+from cgtorch.tabletop.physics import Physics, film
+from cgtorch.tabletop.physics.film import BEHIND, DISTANCE, DOWN, EVERY, Camera
+from cgtorch.tabletop.world import Scenarios, stage_scenarios
+
+
+def scene(start: tuple[float, float], table: tuple[float, float], at: list[float]) -> Scenarios:
+    """One scene with the robot, the table and the object there."""
+    one = stage_scenarios("near", 1)
+    pose, size = one.pose.clone(), one.table.clone()
+    pose[0, :2], size[0, :2] = torch.tensor(start), torch.tensor(table)
+    return replace(one, pose=pose, table=size, object=torch.tensor([at]))
+
+
+@pytest.mark.parametrize(
+    ("start", "table", "at", "azimuth"),
+    [
+        ((-2.0, 0.0), (2.0, 0.0), [2.0, 0.5], BEHIND),  # the object is to the left
+        ((-2.0, 0.0), (2.0, 0.0), [2.0, -0.5], -BEHIND),
+        ((1.0, -2.0), (1.0, 2.0), [0.5, 2.0], 90 + BEHIND),
+        ((1.0, -2.0), (1.0, 2.0), [1.5, 2.0], 90 - BEHIND),
+        ((0.0, 0.0), (2.0, 2.0), [2.0, 1.0], 45 - BEHIND),
+    ],
+)
+def test_the_camera_looks_over_the_shoulder_on_the_side_of_the_object(
+    start: tuple[float, float], table: tuple[float, float], at: list[float], azimuth: float
+) -> None:
+    """At a place between robot and table, three quarters of the way."""
+    view = Camera(scene(start, table, at), 64).view
+    assert view.azimuth == pytest.approx(azimuth)
+    assert (view.distance, view.elevation) == (DISTANCE, DOWN)
+    between = [a + 0.75 * (b - a) for a, b in zip(start, table, strict=True)]
+    assert view.lookat[:2] == pytest.approx(between)
+    assert 0.3 < view.lookat[2] < 1.2
+
+
+class Renderer:
+    """Draws the time, instead of a picture, for which a machine may have no library."""
+
+    def __init__(self, model: Any, width: int) -> None:
+        self.width = width
+
+    def update_scene(self, data: Any, view: Any, shown: Any) -> None:
+        self.seen = data.time
+
+    def render(self) -> Any:
+        return numpy.array([self.seen, self.width])
+
+
+def test_pictures_are_taken_at_equal_times_and_belong_to_acts(
+    monkeypatch: pytest.MonkeyPatch, physics: Physics
+) -> None:
+    monkeypatch.setattr(film, "renderer", Renderer)
+    camera = Camera(stage_scenarios("near", 1), 64)
+    model = physics.model(0, 0)
+    stub = SimpleNamespace(model=model.model, data=SimpleNamespace(time=0.0))
+    for step in range(40):
+        stub.data.time = step * EVERY / 8 + 1e-6
+        camera(stub)  # type: ignore[arg-type]
+        if step == 20:
+            camera.end_act()
+    times = [picture[0] for picture in camera.pictures]
+    assert times == pytest.approx([n * EVERY for n in range(5)], abs=1e-5)
+    assert {picture[1] for picture in camera.pictures} == {64}
+    assert camera.acts == [0, 0, 0, 1, 1]
+    assert len(camera.renderers) == 1

@@ -1,0 +1,121 @@
+"""Why a robot grasps nothing on a usual table, in a sentence whose numbers can be checked."""
+
+import json
+import math
+import re
+import shutil
+from pathlib import Path
+
+import mesh_robot
+import pytest
+
+from cgtorch.tabletop.kinematics import Robot, graspable, load_robot
+from cgtorch.tabletop.robot_folder.make import make_robot_folder
+from cgtorch.tabletop.robot_folder.reach import AHEAD, _objects, reached
+
+LENGTH = 0.1 + 0.4 + 0.32 + 0.17  # m: the arm of `mesh_robot`, and its tool frame before the hand
+PAN = 0.3  # m: the first joint above the link that carries it
+SHOULDER = 1.0  # m: the same above the floor
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a robot that reaches a usual table."""
+    place = tmp_path_factory.mktemp("reach")
+    make_robot_folder(mesh_robot.write_package(place / "ws"), place / "mine")
+    return place / "mine"
+
+
+def robot_with(
+    folder: Path, place: Path, shoulder: float, turn: float = 0.0, **words: object
+) -> Robot:
+    """The robot with its shoulder at another height (m), turned (rad), and described otherwise."""
+    shutil.copytree(folder, place)
+    text = (place / "robot.urdf").read_text()
+    pan = text.index('<joint name="pan')
+    begin = text.index("<origin", pan)
+    end = text.index(">", begin) + 1
+    assert "0.3" in text[begin:end]
+    origin = f'<origin xyz="0.15 0 {PAN + shoulder - SHOULDER}" rpy="0 0 {turn}"/>'
+    (place / "robot.urdf").write_text(text[:begin] + origin + text[end:])
+    about = json.loads((place / "robot.json").read_text())
+    (place / "robot.json").write_text(json.dumps({**about, **words}))
+    return load_robot(description=place)
+
+
+def test_objects_stand_on_a_table_right_before_the_footprint(folder: Path) -> None:
+    robot = load_robot(description=folder)
+    at, table = _objects(robot, 0.6)
+    edge = robot.description.footprint[1] + AHEAD
+    assert at.shape == (9, 3)
+    assert table[0].tolist() == pytest.approx([edge + 0.4, 0, 0, 0.8, 1.6, 0.6])
+    assert (at[:, 2] == table[:, 5]).all()
+    assert {round(x - edge, 3) for x in at[:, 0].tolist()} == {0.1, 0.2, 0.3}
+    assert {round(y, 3) for y in at[:, 1].tolist()} == {-0.3, 0.0, 0.3}
+    found = reached(robot)
+    assert found.grasps.tolist() == graspable(robot, *_objects(robot, 0.75)).tolist()
+    assert found.grasps.any()
+    assert found.why == ""
+
+
+def test_an_arm_that_is_too_high_is_told_a_table_that_suits(folder: Path, tmp_path: Path) -> None:
+    robot = robot_with(folder, tmp_path / "high", 1.74)
+    found = reached(robot, 0.1)
+    assert not found.grasps.any()
+    edge = robot.description.footprint[1] + AHEAD
+    away = math.hypot(edge + 0.1 - shoulder_x(robot), 1.74 - 0.75)
+    assert found.why == (
+        f"arm 'arm' is {LENGTH:.2f} m long from its shoulder, 1.74 m high, and the nearest object "
+        f"{away:.2f} m away from that; at 1.2 m it can grasp 9 of 9, so make tables of that height"
+    )
+
+
+def shoulder_x(robot: Robot) -> float:
+    robot.urdf.model.update_cfg({})
+    pose = robot.urdf.model.get_transform(
+        robot.urdf.joint(robot.arms[0].joint_names[0]).child, robot.description.base_frame
+    )
+    return float(pose[0, 3])
+
+
+@pytest.mark.parametrize("stand", [0.0, 0.1])
+def test_an_arm_that_is_too_low_is_told_a_stand(stand: float, folder: Path, tmp_path: Path) -> None:
+    """Of the height of the present one, and what the table is too high."""
+    found = reached(robot_with(folder, tmp_path / "low", 0.35), stand)
+    assert not found.grasps.any()
+    (height, put) = map(
+        float, re.findall(r"; at ([\d.]+) m it can .* --stand ([\d.]+)$", found.why)[0]
+    )
+    assert put == pytest.approx(stand + 0.75 - height)
+    assert height in (0.45, 0.3, 0.15, 0.05)
+    assert "0.35 m high; " in found.why
+
+
+@pytest.mark.parametrize(
+    ("turn", "told"), [(0.0, None), (math.pi / 2, 90), (-math.pi / 2, -90), (math.pi / 4, None)]
+)
+def test_an_arm_that_points_elsewhere_at_rest_is_told_so(
+    turn: float, told: int | None, folder: Path, tmp_path: Path
+) -> None:
+    why = reached(robot_with(folder, tmp_path / "turned", 1.74, turn)).why
+    said = f"at rest it points {told} degrees away from x"
+    assert (said in why) if told is not None else "at rest" not in why
+
+
+def test_where_no_height_helps_it_is_told_what_hinders_at_the_one_of_the_shoulder(
+    folder: Path, tmp_path: Path
+) -> None:
+    """Here the hand is in the base while it drives, from where no way is clear."""
+    home = dict(json.loads((folder / "robot.json").read_text())["home"])
+    inside = dict.fromkeys(home, 0.0) | {n: 1.4 for n in home if n.startswith("lift")}
+    found = reached(robot_with(folder, tmp_path / "blocked", SHOULDER, home=inside))
+    assert not found.grasps.any()
+    assert "; nor can it at any height from 0.05 to 1.2 m; " in found.why
+    counts = re.search(
+        r"has a posture at (\d+) of 225 approaches at 0.9 m, clear ones at (\d+), and follows "
+        r"(\d+) of them, but no clear way leads there from home: give another one by --home$",
+        found.why,
+    )
+    assert counts is not None, found.why
+    posed, clear, follows = map(int, counts.groups())
+    assert 225 >= posed >= clear >= follows > 0

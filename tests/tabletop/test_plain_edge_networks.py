@@ -1,0 +1,91 @@
+"""Networks in the frame of an edge in plain Python, against those of torch."""
+
+import math
+
+import pytest
+import torch
+from support import graspable, seeded
+from torch import Tensor
+
+from cgtorch.tabletop import plain_edge_networks as plain
+from cgtorch.tabletop.edge_networks import edge_frame, into, motion_to, obstacles, table_scene
+from cgtorch.tabletop.world import TabletopWorld, draw_of
+from cgtorch.tabletop.world.clear_motion import motion_possible
+from cgtorch.tabletop.world.percepts import parts_of
+from cgtorch.tabletop.world.routes import first_motion
+
+FOOTPRINT = (-0.3, 0.35, -0.25, 0.28)
+COUNT = 40
+
+
+def percepts(kind: str, percept: str) -> Tensor:
+    """(n, D) what is seen of random scenes, in float64."""
+    scenarios = draw_of(kind)(COUNT, seeded(4))
+    world = TabletopWorld(scenarios, graspable, FOOTPRINT, percept=percept)
+    return world.start(torch.arange(COUNT))[1].double()
+
+
+@pytest.mark.parametrize("kind", ["general", "general-clutter"])
+@pytest.mark.parametrize("percept", ["box", "yaw"])
+def test_the_frame_of_an_edge_and_what_is_seen_in_it(kind: str, percept: str) -> None:
+    seen = percepts(kind, percept)
+    frames = edge_frame(seen)
+    assert {*frames.mirror.tolist()} == {-1.0, 1.0}
+    things, points = parts_of(seen), torch.randn(COUNT, 2, generator=seeded(1)).double()
+    placed, scenes = into(frames, points), table_scene(frames, seen)
+    there = obstacles(frames, seen) if things.obstacles.shape[1] else torch.zeros(COUNT, 0)
+    for i, one in enumerate(seen.tolist()):
+        frame = plain.edge_frame(one)
+        assert frame.mirror == frames.mirror[i]
+        for ours, theirs in (
+            (frame.origin, frames.origin[i]),
+            (frame.extent, frames.extent[i]),
+            (plain.table(one), things.table[i]),
+            (plain.into(frame, tuple(points[i].tolist())), placed[i]),
+            (plain.table_scene(frame, one), scenes[i]),
+            (plain.obstacles(frame, one), there[i]),
+        ):
+            assert list(ours) == pytest.approx(theirs.tolist(), abs=1e-6)
+        turn = frame.yaw - float(frames.yaw[i])
+        assert math.remainder(turn, 2 * math.pi) == pytest.approx(0, abs=1e-6)
+
+
+def test_a_network_sends_the_motion_to_its_pose() -> None:
+    seen = percepts("general", "yaw")
+    pose = torch.randn(COUNT, 3, generator=seeded(2)).double()
+    wanted = motion_to(edge_frame(seen), pose)
+    for one, to, motion in zip(seen.tolist(), pose.tolist(), wanted.tolist(), strict=True):
+        network = plain.EdgeNN([0.0] * 30 + [0.0] * 9 + to, 9, 3, 3)
+        found = network.motion(one)
+        assert found[:2] == pytest.approx(motion[:2], abs=1e-6)
+        assert math.remainder(found[2] - motion[2], 2 * math.pi) == pytest.approx(0, abs=1e-6)
+        assert -math.pi <= found[2] < math.pi
+
+
+def test_a_motion_is_possible_where_the_library_says_so() -> None:
+    """Also beside things that stand at any angle, and with turns."""
+    drawn = torch.rand(400, 2, 5, generator=seeded(3)).double()
+    things = torch.cat([4 * drawn[..., :2] - 2, 3 * drawn[..., 2:3], 0.2 + drawn[..., 3:]], 2)
+    motion = torch.randn(400, 3, generator=seeded(5)).double()
+    motion[::4, 2] = 0
+    footprint = torch.tensor(FOOTPRINT).double()
+    wanted = motion_possible(motion, things, footprint, torch.inf).tolist()
+    found = [
+        plain.possible(motion[i].tolist(), [tuple(t) for t in things[i].tolist()], FOOTPRINT)
+        for i in range(400)
+    ]
+    assert found == wanted
+    assert 40 < sum(found) < 360
+    for bad in (math.nan, math.inf):
+        assert not plain.possible([bad, 0.0, 0.0], [], FOOTPRINT)
+
+
+def test_ways_around_things_are_those_of_the_library() -> None:
+    seen = percepts("general-clutter", "yaw")
+    motion = 1.5 * torch.randn(COUNT, 3, generator=seeded(6)).double()
+    motion[:2, :2] = torch.tensor([[-4.0, 0.1], [0.1, 5.0]])
+    wanted = first_motion(seen, motion, torch.tensor(FOOTPRINT).double())
+    assert not torch.equal(wanted, motion)
+    for i, one in enumerate(seen.tolist()):
+        found = plain.first_motion(plain.things(one), motion[i].tolist(), FOOTPRINT)
+        assert found == pytest.approx(wanted[i].tolist(), abs=1e-6)
