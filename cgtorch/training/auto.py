@@ -89,11 +89,11 @@ def reached(goal: Goal, rounds: list[dict[str, Any]]) -> bool:
     """Whether the last round's skill reaches the goal, given the results of all rounds.
 
     Where the world does not repeat itself there is no test but practice: the skill has solved
-    enough fresh scenarios in a row.
+    enough fresh scenarios in a row. Without practice, nothing is known.
     """
     if rounds and rounds[-1].get("fresh") is None:
         practice = rounds[-1].get("practice")
-        return practice is not None and (rounds[-1].get("in_a_row") or 0) >= practice
+        return bool(practice and (rounds[-1].get("in_a_row") or 0) >= practice)
     last = _decisions(rounds[-1:])
     if not last:
         return False

@@ -264,7 +264,7 @@ def _stage(run: StoredRun, request: TrainingRequest, before: Mapping[str, Any]) 
     stage = request.stage
     if stage is None:
         usual = type(run.domain.settings).usual_stage
-        usual = [*run.domain.stages, usual][-2] if usual == LAST else usual
+        usual = [AUTO, *run.domain.stages][-1] if usual == LAST else usual
         stage = str(before.get("stage") or usual)
     if stage != AUTO:
         if request.goal:

@@ -244,6 +244,7 @@ def test_where_no_world_can_be_put_back_practice_reaches_the_goal() -> None:
         assert reached(goal, [untested(3), untested(30)])
         assert not reached(goal, [untested(23)])
         assert not reached(goal, [untested(24), untested(0)])
+        assert not reached(goal, [untested(0, practice=0)])  # with rewards nothing is practised
         assert not reached(goal, [untested(24), {**SCREENED, "decisive": None}])
 
 

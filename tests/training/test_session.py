@@ -166,6 +166,8 @@ def test_the_usual_stage_is_that_of_the_domain(run: StoredRun) -> None:
     staged.settings = Staged()
     assert _stage(walks, TrainingRequest(), {}) == "second"
     assert _stage(walks, TrainingRequest(), {"stage": "first"}) == "first"
+    object.__setattr__(staged, "stages", {})
+    assert _stage(walks, TrainingRequest(), {}) == "auto"
 
 
 def test_with_rewards_the_target_is_a_return(run: StoredRun) -> None:
