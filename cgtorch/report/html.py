@@ -63,7 +63,10 @@ def inline_svg(figure: "Figure", key: str, label: str, scale: float = 1.0) -> Ma
             axes.patch.set_alpha(0)
         figure.savefig(out, format="svg")
     # Stripping comments and the like is safe: names are in attributes and text.
-    parser = etree.XMLParser(huge_tree=True, remove_comments=True, remove_blank_text=True)
+    # Entities of its own would be resolved by default, and `huge_tree` lifts the limit on them.
+    parser = etree.XMLParser(
+        resolve_entities=False, huge_tree=True, remove_comments=True, remove_blank_text=True
+    )
     root = etree.fromstring(out.getvalue().encode(), parser)
     etree.strip_elements(root, *(SVG + name for name in ("metadata", "style", "title")))
     _rename(root, key)

@@ -7,12 +7,10 @@ from dataclasses import replace
 import pytest
 import torch
 from members import nearly
-from screens import console, snapshot, text_of
+from screens import CHANCE, LOOKS, TRIALS, console, practised, snapshot, text_of
 
 from cgtorch.evolution.fitness import WORST
-from cgtorch.ground.asked import Asked
 from cgtorch.improvement.events import (
-    ChanceFound,
     EpisodePlayed,
     Event,
     FreshTested,
@@ -21,22 +19,12 @@ from cgtorch.improvement.events import (
     MeanTested,
     ModelsFitted,
     ModelSummary,
-    Practised,
     SkillAccepted,
     StageStarted,
-    WorldAsked,
     WorldTested,
 )
 from cgtorch.report import ProgressDisplay
 from cgtorch.report.messages import message_of
-
-TRIALS = WorldAsked("S1", "trials", Asked(68, 19, 18, 18), succeeded=17)
-LOOKS = WorldAsked("S1", "looks", Asked(looks=69))
-CHANCE = ChanceFound("S1", 12, 30)
-
-
-def practised(in_a_row: int) -> Practised:
-    return Practised("S1", nearly(0.5), in_a_row, 24)
 
 
 def test_live_lines_say_where_the_run_is(events: list[Event]) -> None:

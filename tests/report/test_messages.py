@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 from members import nearly
+from screens import CHANCE, LOOKS, TRIALS, practised
 from support import random_graphs
 
 from cgtorch.domains.knowledge import Knowledge, summary_of
@@ -12,14 +13,12 @@ from cgtorch.ground.asked import Asked, Purse
 from cgtorch.ground.statistics import Acceptance
 from cgtorch.improvement.events import (
     AboutToKeep,
-    ChanceFound,
     EpisodePlayed,
     Event,
     FreshTested,
     JournalDamaged,
     MeanTested,
     ModelsFitted,
-    Practised,
     SkillAccepted,
     StageStarted,
     WorldAsked,
@@ -28,14 +27,6 @@ from cgtorch.improvement.events import (
 from cgtorch.improvement.imagined_state import CHAMPIONS, RANDOM, STARTS
 from cgtorch.report.messages import asked_of, mean_text, message_of, place_of, stage_number
 from cgtorch.tabletop.actions import paper_actions
-
-TRIALS = WorldAsked("S1", "trials", Asked(68, 19, 18, 18), succeeded=17)
-LOOKS = WorldAsked("S1", "looks", Asked(looks=69))
-CHANCE = ChanceFound("S1", 12, 30)
-
-
-def practised(in_a_row: int) -> Practised:
-    return Practised("S1", nearly(0.5), in_a_row, 24)
 
 
 def test_what_models_have_learned_is_told(events: list[Event], knowledge: Knowledge) -> None:
