@@ -87,7 +87,7 @@ reference: setup  ## Make runs/reference again (3 minutes)
 wheel: setup  ## Build a wheel into dist, with libraries for Linux, and try it without a compiler
 	$(INSTALL) --editable '.[wheel]'
 	rm -rf build/wheel dist
-	$(BIN)/python -m build --wheel --no-isolation --outdir build/wheel
+	CGTORCH_CPUS=all $(BIN)/python -m build --wheel --no-isolation --outdir build/wheel
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/auditwheel repair --wheel-dir dist build/wheel/*.whl
 	$(BIN)/python tools/try_wheel.py dist/*.whl
 

@@ -1,9 +1,12 @@
 """What building a wheel adds to it: the C sources compiled, so that no compiler is needed later.
 
-Without a compiler, or on other machines than x86-64 with Linux, the wheel has the sources only.
+They are compiled for this CPU, or for all that wheels have libraries for if `CGTORCH_CPUS` is
+`all`. Without a compiler, or on other machines than x86-64 with Linux, the wheel has the sources
+only.
 """
 
 import importlib.util
+import os
 import platform
 import subprocess
 import sysconfig
@@ -19,7 +22,7 @@ SUPPORTED = ("Linux", "x86_64")
 
 
 class CompiledLibraries(BuildHookInterface[Any]):
-    """Compiles the sources for each of `TARGETS` of cgtorch/native/compiler.py."""
+    """Compiles the sources for some or all of `TARGETS` of cgtorch/native/compiler.py."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """See hatchling; an editable install compiles nothing, as it has the sources."""
@@ -30,17 +33,22 @@ class CompiledLibraries(BuildHookInterface[Any]):
         if name is None or (platform.system(), platform.machine()) != SUPPORTED:
             self.app.display_warning("nothing is compiled: the wheel has the C sources only")
             return
+        own = compiler.own_capability(name)
+        targets = compiler.TARGETS if os.environ.get("CGTORCH_CPUS") == "all" else own and [own]
+        if not targets:
+            self.app.display_warning("nothing is compiled yet: the first use does so for this CPU")
+            return
         folder = Path(self.directory) / "compiled"
         folder.mkdir(parents=True, exist_ok=True)
         wanted = {
-            folder / compiler.wheel_file_name(real, target): (real, options)
-            for real, (target, options) in product(compiler.REALS, compiler.TARGETS.items())
+            folder / compiler.wheel_file_name(real, target): (real, compiler.TARGETS[target])
+            for real, target in product(compiler.REALS, targets)
         }
         files = len(compiler.c_files())
         self.app.display_info(
             f"{name} compiles {len(wanted) * files} objects: {files} C files, for numbers of "
-            f"{' and '.join(compiler.REALS)}, and CPUs with {' and '.join(compiler.TARGETS)}; "
-            "this takes about a minute of two cores"
+            f"{' and '.join(compiler.REALS)}, and CPUs with {' and '.join(targets)}; "
+            f"this takes up to {len(wanted) * 20} s of two cores"
         )
         begun = time.monotonic()
         try:

@@ -26,6 +26,8 @@ WIDE = "-mprefer-vector-width=512"
 """Without it, compilers use only half of the widest vectors of some CPUs."""
 TARGETS = {"AVX512": ("-march=x86-64-v4", WIDE), "AVX2": ("-march=x86-64-v3",)}
 """Targets of the libraries in a wheel, the fastest first, by torch's names of CPU capabilities."""
+_DEFINED = {"AVX512": "__AVX512VL__", "AVX2": "__AVX2__"}
+"""Macros of compilers that CPUs of these targets have in common."""
 SECONDS = 300
 """A compiler that takes longer counts as missing."""
 
@@ -49,6 +51,12 @@ def own_target(compiler: str) -> tuple[str, ...]:
         return wide if "__AVX512F__" in _macros(compiler, wide) else wide[:1]
     except subprocess.SubprocessError:  # it knows no such option
         return wide[:1]
+
+
+def own_capability(compiler: str) -> str | None:
+    """The fastest of `TARGETS` that this CPU can run; None if there is none."""
+    macros = _macros(compiler, own_target(compiler))
+    return next((name for name in TARGETS if f"#define {_DEFINED[name]} " in macros), None)
 
 
 def file_name(real: str, compiler: str, target: Sequence[str]) -> str:

@@ -20,6 +20,8 @@ GOOD, LINE, FAINT, INK, GRID, PAPER = (
     "#1a7f37", "#4a6fa5", "#a58f6b", "#1c1f24", "#e6e6e6", "#8a6d3b",
 )  # fmt: skip
 WIDTH = 8.4  # inches
+LEFT, RIGHT, BOTTOM, TOP = 0.95, 0.15, 0.5, 0.3  # margins, inches
+LETTER = 0.05  # inches below the axes for each letter of a slanted name
 MOST_LETTERS = 60  # of names of stages that stand side by side
 BINS = 10  # of equal widths, that probabilities were put into
 SPREAD = 2.0  # standard errors of a frequency that its bar spans
@@ -44,13 +46,25 @@ def plain_figure(
     ratios: Sequence[float] = (1,),
     columns: int = 1,
     share_x: bool = True,
+    bottom: float = BOTTOM,
+    top: float = TOP,
+    gap: float = 0.15,
 ) -> tuple["Figure", list["Axes"]]:
-    """A figure (sizes in inches) and its axes row by row, with heights in these ratios."""
+    """A figure (sizes in inches) and its axes row by row, with heights in these ratios.
+
+    Margins are fixed, as matplotlib takes longer to find them than to draw.
+    """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
-    rows = len(ratios)
-    grid = figure.subplots(rows, columns, sharex=share_x, height_ratios=ratios, squeeze=False)
+    figure, rows = Figure(figsize=(width, height)), len(ratios)
+    room = (width - LEFT - RIGHT) / columns, (height - bottom - top) / rows
+    places = {
+        "left": LEFT / width, "right": 1 - RIGHT / width, "wspace": 0.5 / room[0],
+        "bottom": bottom / height, "top": 1 - top / height, "hspace": gap / (room[1] - gap),
+    }  # fmt: skip
+    grid = figure.subplots(
+        rows, columns, sharex=share_x, height_ratios=ratios, squeeze=False, gridspec_kw=places
+    )
     for axes in grid.flat:
         axes.set_axisbelow(True)
         axes.grid(color=GRID, linewidth=0.6)
@@ -71,7 +85,7 @@ def draw_reliability(
     if rows == 0:
         raise DataError("the reliability curve holds no rows; measure it on some labels")
     mean, frequency, count = np.array(curve).T
-    figure, (upper, lower) = plain_figure(5.2, 6.2, (3, 1))
+    figure, (upper, lower) = plain_figure(5.2, 6.2, (3, 1), top=0.55)
     # By the rule of succession, so that a bin where it always happens has a bar too.
     sure = (frequency * count + 1) / (count + 2)
     bar = SPREAD * np.sqrt(sure * (1 - sure) / count)
@@ -95,6 +109,7 @@ def draw_reliability(
             f"{number}", (place, number), ha="center", va="bottom", fontsize=8, color=INK
         )
     lower.set(yscale="log", ylim=(0.7, 4 * max(count)))
+    lower.minorticks_off()
     lower.set(xlabel="probability that C gives", ylabel="labels")
     return figure
 
@@ -103,7 +118,10 @@ def draw_success(
     shares: Shares, others: Shares, label: str, other: str, published: tuple[str, float] | None
 ) -> "Figure":
     """Success by stage and on other scenarios, with 95 % intervals, and the published share."""
-    figure, (axes,) = plain_figure(WIDTH, 2.9)
+    names = [name for name, _, _ in shares]
+    crowded = sum(map(len, names)) > MOST_LETTERS
+    below = LETTER * max(map(len, names), default=0) * crowded
+    figure, (axes,) = plain_figure(WIDTH, 2.9 + below, bottom=0.3 + below)
     for data, shift, marker, colour, name in (
         (shares, -0.08, "o", GOOD, label),
         (others, 0.08, "s", LINE, other),
@@ -122,9 +140,7 @@ def draw_success(
         who, share = published
         axes.axhline(share, color=PAPER, ls="--", lw=1.2)
         axes.plot([], [], color=PAPER, ls="--", lw=1.2, label=f"{who}: {_percent(share)}")
-    names = [name for name, _, _ in shares]
     slanted: dict[str, Any] = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"}
-    crowded = sum(map(len, names)) > MOST_LETTERS
     axes.set_xticks(range(len(names)), names, **(slanted if crowded else {}))
     axes.set(xlim=(-0.5, max(len(names), 1) - 0.5), ylim=(0, 1.04), ylabel="scenarios solved")
     axes.yaxis.set_major_formatter(_percent)
@@ -169,7 +185,7 @@ def draw_rates(rows: Sequence[Row], stages: Sequence[str]) -> "Figure | None":
     """The strategy parameters of eq. 2 over generations: mean and middle 80 %; None without any."""
     if not any(row["strategy"] for row in rows):
         return None
-    figure, grid = plain_figure(WIDTH, 4.0, (1, 1), columns=4)
+    figure, grid = plain_figure(WIDTH, 4.0, (1, 1), columns=4, gap=0.35)
     for axes, name in zip(grid, STRATEGY, strict=True):
         for line in _evolutions(rows):
             known = [(x, *row["strategy"].get(name, [])) for x, row in line if row["strategy"]]
@@ -190,7 +206,8 @@ Curve = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
 
 def draw_learning(curves: Sequence[Curve]) -> "Figure":
     """Learning curves, one below the other."""
-    figure, grid = plain_figure(5.2, 3.1 * len(curves), [1] * len(curves), share_x=False)
+    rows = len(curves)
+    figure, grid = plain_figure(5.2, 3.1 * rows, [1] * rows, share_x=False, gap=0.8)
     for axes, (name, sizes, train, test) in zip(grid, curves, strict=True):
         axes.plot(sizes, train, color=FAINT, lw=1.2, marker="s", ms=3.5, label="learned from")
         axes.plot(sizes, test, color=GOOD, lw=1.4, marker="o", ms=4, label="held out")

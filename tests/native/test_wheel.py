@@ -5,6 +5,7 @@ import platform
 import subprocess
 import sys
 import zipfile
+from collections.abc import Collection
 from itertools import product
 from pathlib import Path
 
@@ -35,22 +36,33 @@ print(cgtorch.__file__, available(), float(machine.values(x[:1])[0, 0]))
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A wheel that was built here, unpacked; only libraries for this CPU have contents."""
-    folder = tmp_path_factory.mktemp("wheel")
+    """A wheel that was built here for this CPU, unpacked."""
+    return built(tmp_path_factory.mktemp("wheel"), [ABLE])
+
+
+def built(folder: Path, targets: Collection[str], **environment: str) -> Path:
+    """A wheel that was built in `folder`, unpacked; only libraries for this CPU have contents."""
     (other,) = (options[0] for name, options in compiler.TARGETS.items() if name != ABLE)
     command = [sys.executable, "-m", "pip", "wheel", str(ROOT), "--no-deps"]
+    own = {"CC": quick_compiler(folder, other), **environment}
     log = subprocess.run(
         [*command, "--no-build-isolation", "-v", "-w", str(folder)], check=True,
-        env={**os.environ, "CC": quick_compiler(folder, other)}, capture_output=True, text=True,
+        env={**os.environ, **own}, capture_output=True, text=True,
     ).stderr  # fmt: skip
-    files = len(list(compiler.SOURCES.rglob("*.c")))
-    assert f"compiles {4 * files} objects: {files} C files" in log
+    files, libraries = len(list(compiler.SOURCES.rglob("*.c"))), len(targets) * len(compiler.REALS)
+    assert f"compiles {libraries * files} objects: {files} C files" in log
+    assert f"CPUs with {' and '.join(targets)}" in log
     assert "compiled in " in log
     (wheel,) = folder.glob("*.whl")
     assert wheel.name.endswith("-linux_x86_64.whl")
     with zipfile.ZipFile(wheel) as file:
         file.extractall(folder / "unpacked")
     return folder / "unpacked"
+
+
+def libraries(installed: Path) -> set[str]:
+    """The names of the libraries in a wheel."""
+    return {path.name for path in (installed / "cgtorch" / "native" / "compiled").iterdir()}
 
 
 def said(installed: Path, tmp_path: Path, **environment: str) -> tuple[bool, float]:
@@ -85,10 +97,16 @@ def test_libraries_of_other_sources_are_left_alone(installed: Path, tmp_path: Pa
         source.write_text(text)
 
 
-def test_all_libraries_and_sources_are_in_it(installed: Path) -> None:
-    native = installed / "cgtorch" / "native"
+@pytest.mark.hostile
+def test_a_wheel_for_others_has_libraries_for_all_cpus(tmp_path: Path) -> None:
     pairs = product(compiler.REALS, compiler.TARGETS)
-    found = {path.name for path in (native / "compiled").iterdir()}
+    found = libraries(built(tmp_path, compiler.TARGETS, CGTORCH_CPUS="all"))
     assert found == {compiler.wheel_file_name(*pair) for pair in pairs}
+
+
+def test_libraries_for_this_cpu_and_all_sources_are_in_it(installed: Path) -> None:
+    native = installed / "cgtorch" / "native"
+    found = {compiler.wheel_file_name(real, ABLE) for real in compiler.REALS}
+    assert libraries(installed) == found
     for path in [*compiler.SOURCES.rglob("*.[ch]"), *compiler.SOURCES.rglob("*.cu")]:
         assert (native / path.relative_to(compiler.SOURCES)).read_bytes() == path.read_bytes()
