@@ -170,6 +170,7 @@ def test_a_holder_that_was_lucky_is_known_better_and_not_played(begun: State) ->
     assert search.setup.purse.total == Asked()
     assert state.inner.holder is not None
     assert state.inner.holder.count >= KNOWN + imagined_search.SURE
+    assert (state.inner.spent.tuned, state.inner.spent.rivals) == (0, 0)
 
 
 def test_a_graph_promises_a_mean_with_an_error_on_fresh_episodes(begun: State) -> None:

@@ -260,7 +260,9 @@ def test_where_rollouts_take_time_what_is_missed_and_what_is_not_come_first_in_t
         patch.setattr(specialists, "evolve_candidate", evolved)
         for number in (1, 2):
             after = with_member(setup, replace(state, number=number), which)
-    (first, count, seeds), (then, *_) = told
+        with_member(replace(setup, group=6), state, which)
+    (first, count, seeds), (then, *_), (few, *_) = told
+    assert len(few) == 6
     place = [scenarios.seed.tolist().index(seed) for seed in first]
     assert which[place].tolist() == [True] * 4 + [False] * 8
     assert sorted(then) == sorted(first)
