@@ -198,7 +198,7 @@ def extended(setup: Setup[S], state: StageState[S], rates: Tensor) -> Candidate 
     if current is None or current.branches is None:
         return None
     held = known_rates(state)[:, -1:]
-    more = (rates >= RELIABLE) & (held < RELIABLE)
+    more = (rates >= RELIABLE) & (held == 0)
     more[:, list(current.chosen)] = False
     first = fewest_members(more, setup.team - len(current.chosen))
     if not first:

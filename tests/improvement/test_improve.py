@@ -138,6 +138,7 @@ def test_where_nothing_can_be_solved_all_stays_and_the_models_learn(
     assert not of_kind(told, SkillAccepted)
     fitted: list[ModelsFitted] = of_kind(told, ModelsFitted)
     assert [event.summary.first for event in fitted] == [False] * 3  # of the run
+    assert all(0 <= event.seconds < 100 for event in fitted)
     before = nothing_yet.knowledge
     rows = [len(k.dataset.tested) + len(k.aside.tested) for k in (before, after.knowledge)]
     assert rows[1] - rows[0] == hopeless.purse.total.tests > 0

@@ -195,6 +195,7 @@ def test_individuals_that_are_tuned_are_guests() -> None:
     guests = search.guests(State(tuning=one, rivals=(two,)))
     assert guests is not None
     assert guests.graphs.parameters[:, 0, 0].tolist() == pytest.approx([0.1, 0.2])
+    assert len(guests.strategy) == 2
     only = search.guests(State(rivals=(two,)))
     assert only is not None
     assert only.graphs.parameters[:, 0, 0].tolist() == pytest.approx([0.2])

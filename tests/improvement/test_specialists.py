@@ -26,7 +26,7 @@ from cgtorch.evolution import (
     tournament,
 )
 from cgtorch.graphs import valid
-from cgtorch.improvement import specialists
+from cgtorch.improvement import specialists, team
 from cgtorch.improvement.checkpoint import Found
 from cgtorch.improvement.events import GenerationDone
 from cgtorch.improvement.improve import improve
@@ -80,6 +80,7 @@ def test_few_missed_scenarios_are_joined_by_solved_ones(
     ("best", "solved", "satisfied", "groups"),
     [
         (0.6, 7, 0.5, [8, 16, 32]),
+        (0.5, 7, 0.5, [8, 16, 32]),
         (0.4, 7, 0.5, [8]),
         (0.4, 8, 0.5, [8, 16]),
         (0.4, 8, math.inf, [8, 16]),
@@ -171,6 +172,41 @@ def test_the_best_search_is_kept(results: list[tuple[float, bool]]) -> None:
         if best.solved.all() or i == len(every) - 1:
             assert made == i + 1
             break
+
+
+def test_a_fitness_that_is_good_enough_ends_the_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    champion = Population(nearly(0.3).graph, initial_strategy(1))
+    for best, wanted in ((0.5, 1), (0.4, 3)):
+        names = list[str]()
+
+        def evolved(
+            stage: Any, name: str, *about: Any, seeds: Any, names: list[str] = names,
+            found: Found = Found(champion, torch.zeros(2) > 0, best),  # noqa: B008
+        ) -> Found:  # fmt: skip
+            names.append(name)
+            return found
+
+        monkeypatch.setattr(specialists, "evolve_candidate", evolved)
+        setup = without_models(searches=3, budget=Budget(satisfied=0.5))
+        specialists.best_of_searches(stage_of(setup), "S1.1", model(0, 2), None)
+        assert len(names) == wanted
+
+
+def test_the_solved_ones_that_join_a_group_follow_from_the_generator(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told = list[list[int]]()
+
+    def recorded(setup: Any, name: str, models: Any, group: Scenarios, *about: Any) -> Any:
+        told.append(group.seed.tolist())
+        return Population(nearly(0.3).graph, initial_strategy(1)), torch.zeros(1) > 0
+
+    monkeypatch.setattr(team, "specialist", recorded)
+    state = state_of(random_scenarios("near", 30, seeded(0)))
+    for _ in range(2):
+        with_member(stage_of(without_models()), state, torch.arange(30) == 5)
+    assert len(told[0]) == 1 + OTHERS
+    assert told[0] == told[1]
 
 
 def large(seed: int) -> Population:
