@@ -1,4 +1,4 @@
-"""Steps of a search for the best mean: whose turn it is, what a race may cost, and what it needs."""
+"""Steps of a search for the best mean: whose turn it is, and what races may cost and decide."""
 
 import itertools
 import math
