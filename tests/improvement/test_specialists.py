@@ -174,6 +174,18 @@ def test_the_best_search_is_kept(results: list[tuple[float, bool]]) -> None:
             break
 
 
+def test_an_evolution_begins_with_its_seeds() -> None:
+    told: list[Any] = []
+    seeds = Population(nearly(0.3).graph, initial_strategy(1))
+    setup = stage_of(without_models(budget=Budget(generations=1)), told.append)
+    found = evolve_candidate(setup, "S1.1", model(0, 5), seeds=seeds)
+    (done,) = of_kind(told, GenerationDone)
+    assert (done.limit, done.size_w, done.size_m, found.generations) == (1, 0, 5, 1)
+    action = done.generation.population.graphs.action[:, :3]
+    copies = (action == seeds.graphs.action[0, :3]).all(1)
+    assert int(copies.sum()) >= setup.evolution.population // 2
+
+
 def test_a_fitness_that_is_good_enough_ends_the_searches(monkeypatch: pytest.MonkeyPatch) -> None:
     champion = Population(nearly(0.3).graph, initial_strategy(1))
     for best, wanted in ((0.5, 1), (0.4, 3)):
