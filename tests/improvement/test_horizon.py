@@ -100,6 +100,14 @@ def test_a_toll_is_taken_from_early_returns_for_the_share_of_the_transitions() -
     assert found.horizon(0.0, 4.0) == 2 * float(steps[:-1].mean())
 
 
+def test_a_toll_is_taken_from_early_returns_by_what_was_played_until_then() -> None:
+    steps, lengths = whole(64), torch.linspace(10, 90, COUNT).double()
+    shares = torch.tensor(HORIZONS).double().div(64).clamp_max(1)
+    early = 8 * lengths[:, None] * shares
+    found = Played(8 * lengths[:, None], lengths[:, None], steps[:, None], early[:, None])
+    assert found.horizon(0.0, 4.0) == HORIZONS[0]
+
+
 def walkers(place: Fresh, horizon: float) -> Played:
     actions = walking_actions()
     speeds = -20.0, 0.0, 10.0, 30.0

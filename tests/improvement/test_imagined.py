@@ -15,6 +15,7 @@ from watched import of_kind
 from cgtorch.evolution import REWARDS
 from cgtorch.graphs import Skill
 from cgtorch.ground.asked import BudgetSpentError, Purse
+from cgtorch.ground.environment import start_lanes
 from cgtorch.improvement.events import (
     EpisodePlayed,
     Event,
@@ -26,7 +27,7 @@ from cgtorch.improvement.events import (
 )
 from cgtorch.improvement.imagined import improve_imagined
 from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT, Search
-from cgtorch.improvement.played import OneEpisode, tried_out
+from cgtorch.improvement.played import OneEpisode, Steps, tried_out
 from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.journal import FileJournal
@@ -177,6 +178,27 @@ def test_champions_of_the_world_are_told() -> None:
     searched(setup_of(told.append))
     played = [e for e in of_kind(told, EpisodePlayed) if e.phase == "champions"]
     assert [e.mean for e in of_kind(told, MeanTested)] == [e.returned for e in played]
+
+
+def test_what_is_not_carried_out_costs_nothing_and_is_no_step() -> None:
+    purse = Purse()
+    episode = OneEpisode(DOMAIN.world(Places(torch.tensor([0.95]))), purse, "trials", 9, 30)
+    lanes = start_lanes(episode, torch.arange(1), 0, 0)
+    lanes, done = episode.step(lanes, torch.full((1, 1), torch.nan))
+    assert (done.tolist(), purse.total.motions) == ([False], 0)
+    lanes, done = episode.step(lanes, torch.ones(1, 1))
+    assert (done.tolist(), purse.total.motions) == ([True], 1)
+    assert float(episode.returns(lanes)) == 19
+    episode.step(lanes, torch.ones(1, 1))
+    assert purse.total.motions == 1  # as it is over
+    first, second, third = episode.steps
+    assert [len(first), len(second)] == [0, 1]
+    assert second.rows(torch.tensor([True])).reward.tolist() == [19]
+    assert (
+        Steps.joined([second, second.rows(torch.zeros(2, dtype=torch.long))]).ended.tolist()
+        == [True] * 3
+    )
+    assert len(third) <= 1
 
 
 def test_an_episode_is_broken_off_and_only_its_own_end_is_one() -> None:

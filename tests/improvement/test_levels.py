@@ -45,6 +45,8 @@ def test_a_level_is_the_mean_of_the_better_half_in_the_last_updates() -> None:
     truncated, long = after(one, values, 5.0)
     assert (truncated.recent, truncated.horizon, long) == (one.recent, 5.0, False)
     assert after(one, torch.ones(5, 2), 5.0)[0].horizon == inf
+    many = replace(one, scenarios=10, reliability=1.0)
+    assert after(many, torch.arange(5.0)[:, None].expand(5, 2))[0].scenarios == 10
     lengths = torch.arange(5.0)[:, None] + torch.rand(5, 2, generator=seeded(1))
     assert after(one, lengths)[1]
 

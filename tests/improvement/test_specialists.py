@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -177,10 +178,15 @@ def test_the_best_search_is_kept(results: list[tuple[float, bool]]) -> None:
 def test_an_evolution_begins_with_its_seeds() -> None:
     told: list[Any] = []
     seeds = Population(nearly(0.3).graph, initial_strategy(1))
-    setup = stage_of(without_models(budget=Budget(generations=1)), told.append)
+    budget = Budget(generations=3, enough=2.0, patience=9)
+    setup, began = stage_of(without_models(budget=budget), told.append), time.perf_counter()
     found = evolve_candidate(setup, "S1.1", model(0, 5), seeds=seeds)
-    (done,) = of_kind(told, GenerationDone)
-    assert (done.limit, done.size_w, done.size_m, found.generations) == (1, 0, 5, 1)
+    done, *later = of_kind(told, GenerationDone)
+    assert (done.limit, done.size_w, done.size_m) == (3, 0, 5)
+    assert (len(later), found.generations) == (2, 3)
+    seconds = sum(each.seconds for each in (done, *later))
+    assert 0 < seconds == pytest.approx(found.seconds)
+    assert seconds < time.perf_counter() - began
     action = done.generation.population.graphs.action[:, :3]
     copies = (action == seeds.graphs.action[0, :3]).all(1)
     assert int(copies.sum()) >= setup.evolution.population // 2
