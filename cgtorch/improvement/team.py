@@ -50,7 +50,7 @@ def shares(setup: Setup[S], state: StageState[S], skills: list[Skill]) -> Tensor
     """
     count = len(state.percepts)
     if not skills:
-        return torch.zeros(count, 0)
+        return torch.empty(count, 0)
     about = state.knowledge, state.scenarios, state.percepts, setup.replays
     environment = setup.imagine(*about, setup.generator, "cpu")
     found, steps = [], None if state.repeats else state.most_steps

@@ -270,4 +270,5 @@ def test_the_papers_method_draws_scenarios_where_there_is_nothing_else_to_solve(
     one = random_scenarios("near", 1, seeded(3))
     grow(setup, first_stage(), one, draw)
     grow(setup, first_stage(missed=one), NONE, draw)
+    grow(setup, first_stage(missed=one), one, draw)
     assert drawn == [5]

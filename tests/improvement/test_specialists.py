@@ -259,7 +259,9 @@ def test_what_is_large_becomes_smaller_by_the_fitness_that_counts() -> None:
         before = large(seed)
         after = shrunk(before, ACTIONS, environment, 7, 1e-3, length)
         of_both = evaluator(ACTIONS, environment, keep, 7, fitness=length)
-        assert float(of_both(after.graphs).fitness) >= float(of_both(before.graphs).fitness) - 1e-3
+        old, new = of_both(before.graphs), of_both(after.graphs)
+        assert float(new.fitness) >= float(old.fitness) - 1e-3
+        assert (new.succeeded | ~old.succeeded).all()
 
 
 def test_episodes_of_an_evolution_are_no_longer_than_those_of_the_skill() -> None:
