@@ -84,6 +84,8 @@ def test_nothing_that_was_solved_is_lost(
         seen = first_percepts(setup.world_of(after.solved.joined(after.missed)))
         assert torch.equal(after.seen, seen)
         assert int(event.keep.sum()) == len(progress.solved)
+        assert event.parent == (None if progress.skill is None else progress.skill.name)
+        assert 0 < event.seconds < 100
         assert event.succeeded[event.keep].all()
         assert event.succeeded[~event.keep].any()
         assert int(event.targets.sum()) == 5 + len(progress.missed)
