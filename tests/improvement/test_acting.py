@@ -16,6 +16,7 @@ from watched import (
     keys,
     known,
     of_kind,
+    recruited,
     stage_of,
     state_of,
     without_models,
@@ -35,6 +36,7 @@ from cgtorch.improvement.improve import (
     _on_known,
     _report_accepted,
     acted,
+    improve,
     without_chance,
 )
 from cgtorch.improvement.state import BLAME, Candidate
@@ -105,6 +107,23 @@ def test_percepts_of_the_data_stand_for_looks_that_cost_too_much() -> None:
         _looks(poor, before, GOOD[:1], drawing(drawn))
     with pytest.raises(BudgetSpentError):
         _looks(replace(poor, learn=None), before, NONE, drawing(drawn))
+
+
+@pytest.mark.parametrize("attempts", [0, 1])
+def test_where_rollouts_take_time_what_earlier_stages_missed_is_handed_on(
+    attempts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recruited(monkeypatch, replace(MEMBER, name="member"))
+    before = known(world_of, OTHERS, NONE, BAD[:2])
+    how = {"remembers": True, "noisy": False, "practice": 0, "attempts": attempts, "looks": 0}
+    tests, watched = GOOD[:3].joined(BAD[4:5]), Watched()
+    after = improve(stage_of(without_models(world_of=watched, **how)), before, tests, drawing([]))
+    assert not set(keys(BAD[:2])) & set(watched.acted)
+    solved, missed = (GOOD[:3], BAD[4:5]) if attempts else (NONE, NONE)
+    assert keys(after.solved) == keys(solved)
+    assert keys(after.missed) == keys(missed.joined(BAD[:2]))
+    assert after.seen is not None
+    assert torch.equal(after.seen, first_percepts(world_of(after.solved.joined(after.missed))))
 
 
 def test_batches_double_up_to_a_limit_where_rollouts_take_time() -> None:

@@ -17,7 +17,13 @@ from cgtorch.native.rank_processes import in_ranks
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
-from cgtorch.training.evaluate import Score, evaluate_skill, robust_success, try_on
+from cgtorch.training.evaluate import (
+    Score,
+    evaluate_skill,
+    robust_success,
+    robust_successes,
+    try_on,
+)
 
 
 def score(successes: int, tried: int) -> Score:
@@ -150,6 +156,17 @@ def test_a_promise_holds_under_every_error_drawn() -> None:
     ]
     assert found.tolist() == one_by_one
     assert 0 < sum(one_by_one) < 20
+
+
+def test_where_models_predict_robust_success_there_is_a_score_of_its_own() -> None:
+    skill, knowledge, every = nearly(0.3), small_knowledge(), score(7, 12)
+    found = robust_successes(every, skill, knowledge, TABLE_MODELS, 3)
+    rows = robust_success(TABLE_MODELS, skill, knowledge, every.percepts, seeded(3))
+    assert found is not None
+    assert 0 < found.tried == int(rows.sum()) < 12
+    assert found.succeeded.tolist() == every.succeeded[rows].tolist()
+    other = replace(every, percepts=every.percepts[:, 1:])
+    assert robust_successes(other, skill, knowledge, TABLE_MODELS, 3) is None
 
 
 class FewAtOnce(Walking):
