@@ -40,6 +40,7 @@ from cgtorch.improvement.improve import (
     without_chance,
 )
 from cgtorch.improvement.state import BLAME, Candidate
+from cgtorch.improvement.team import REFLECT
 from cgtorch.improvement.trial import first_percepts, try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios
 
@@ -136,6 +137,20 @@ def test_batches_double_up_to_a_limit_where_rollouts_take_time() -> None:
         assert (drawn, done, after.in_a_row) == (wanted, True, 40)
         (practised,) = of_kind(told, Practised)
         assert (practised.in_a_row, practised.wanted) == (40, 40)
+
+
+def test_where_nothing_repeats_itself_tests_wait_and_models_learn_after_some_episodes() -> None:
+    candidate, drawn = Candidate(MEMBER), list[int]()
+    state = state_of(NONE, current=candidate, repeats=False, waiting=GOOD[:2])
+    setup = stage_of(without_models(practice=20))
+    after, done = acted(setup, state, candidate, drawing(drawn))
+    assert (done, after.in_a_row, len(after.waiting)) == (False, REFLECT, 0)
+    assert drawn == [1] * (REFLECT - 2)
+    assert after.targets.tolist() == [True] * 2 + [False] * (REFLECT - 2)
+    assert after.keep.all()
+    later, done = acted(setup, replace(after, waiting=BAD[:2]), candidate, drawing(drawn))
+    assert (done, later.in_a_row, len(later.waiting)) == (False, 0, 1)
+    assert later.keep.tolist() == [True] * REFLECT + [False]
 
 
 def test_another_candidate_begins_to_practise_anew_and_the_same_one_goes_on() -> None:

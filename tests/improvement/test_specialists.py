@@ -264,6 +264,20 @@ def test_what_is_large_becomes_smaller_by_the_fitness_that_counts() -> None:
         assert (new.succeeded | ~old.succeeded).all()
 
 
+def test_what_solves_nothing_becomes_smaller_by_its_fitness_too() -> None:
+    def place(runs: Rollouts, probability: Tensor) -> Tensor:
+        return 2 + runs.percept[..., 0].to(probability)
+
+    environment, keep = model(3, 6), torch.zeros(6, dtype=torch.bool)
+    of_both = evaluator(ACTIONS, environment, keep, 7, fitness=place)
+    for seed in range(4):
+        before = large(seed)
+        after = shrunk(before, ACTIONS, environment, 7, 1e-3, place)
+        old, new = of_both(before.graphs), of_both(after.graphs)
+        assert not old.succeeded.all()
+        assert float(new.fitness) >= float(old.fitness) - 1e-3
+
+
 def test_episodes_of_an_evolution_are_no_longer_than_those_of_the_skill() -> None:
     told: list[Any] = []
     setup = without_models(max_transitions=2, budget=Budget(generations=2))
