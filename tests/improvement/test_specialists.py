@@ -192,6 +192,24 @@ def test_an_evolution_begins_with_its_seeds() -> None:
     assert int(copies.sum()) >= setup.evolution.population // 2
 
 
+def test_of_many_seeds_the_newest_begin_beside_as_many_new_individuals(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told = list[Population | None]()
+    monkeypatch.setattr(specialists, "best_of_searches", lambda *about: told.append(about[-1]))
+    many = join(*(Population(nearly(i / 100).graph, initial_strategy(1)) for i in range(40)))
+    for remembers, seeds in ((True, many), (False, many), (True, None)):
+        setup = stage_of(without_models(remembers=remembers))
+        specialists._searched(setup, "S1.1", model(0, 2), seeds)
+    mixed, *others = told
+    half = setup.evolution.population // 2
+    assert others == [many, None]
+    assert mixed is not None
+    assert len(mixed) == half
+    ahead = mixed.graphs.parameters[: half // 2, 0, 33].tolist()
+    assert ahead == pytest.approx([(39 - i) / 100 for i in range(half // 2)])
+
+
 def test_a_fitness_that_is_good_enough_ends_the_searches(monkeypatch: pytest.MonkeyPatch) -> None:
     champion = Population(nearly(0.3).graph, initial_strategy(1))
     for best, wanted in ((0.5, 1), (0.4, 3)):

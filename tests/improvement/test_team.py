@@ -159,7 +159,8 @@ def test_replays_are_broken_off_where_a_trial_would_be(
 def test_state_grows_with_what_is_met() -> None:
     scenarios = random_scenarios("near", 3, seeded(0))
     state = state_of(scenarios, (nearly(0.1), nearly(0.2)))
-    state = replace(state, trust=torch.zeros(3, 2))
+    ones = torch.ones(3, 2, dtype=torch.long)
+    state = replace(state, trust=torch.zeros(3, 2), outcomes=ones, shown=ones[:, 0])
     more = random_scenarios("near", 2, seeded(1))
     percepts = first_percepts(world_of(more))
     for kept in (False, True):
@@ -169,8 +170,20 @@ def test_state_grows_with_what_is_met() -> None:
             assert torch.equal(after.percepts[3:], percepts)
             assert after.keep[3:].tolist() == after.tried[3:].tolist() == [kept] * 2
             assert after.targets[3:].tolist() == [targets] * 2
-            assert after.shown.tolist() == [0] * 5
+            assert after.known[3:].tolist() == [kept] * 2
+            assert after.shown.tolist() == [1] * 3 + [0] * 2
+            assert after.outcomes.tolist() == [[1, 1]] * 3 + [[0, 0]] * 2
             assert torch.equal(after.trust, torch.tensor([[0.0, 0.0]] * 3 + [[1.0, 1.0]] * 2))
+
+
+def test_a_new_member_is_trusted_everywhere_and_nothing_is_known_of_it() -> None:
+    members = nearly(0.1), nearly(0.2)
+    ones = torch.ones(3, 1, dtype=torch.long)
+    state = state_of(random_scenarios("near", 3, seeded(0)), members[:1])
+    after = replace(state, trust=torch.zeros(3, 1), outcomes=ones).joined_by(members[1])
+    assert after.members == members
+    assert after.trust.tolist() == [[0.0, 1.0]] * 3
+    assert after.outcomes.tolist() == [[1, 0]] * 3
 
 
 @pytest.mark.parametrize("seed", range(3))
