@@ -141,7 +141,7 @@ def _record(
     setup: Setup[Any], progress: Progress[Any], state: State, generation: Generation
 ) -> None:
     """Record a checkpoint from which the generation is evaluated again."""
-    champion, spent, nothing = generation.champion, state.spent, torch.zeros(0, dtype=torch.bool)
+    champion, spent, nothing = generation.champion, state.spent, torch.empty(0, dtype=torch.bool)
     counts = 0, spent.generations, spent.transitions
     checkpoint = checkpoint_of(
         Found(champion, nothing, -inf, *counts), generation.islands, setup.evolution.islands
@@ -154,7 +154,7 @@ def _report(setup: Setup[S], before: Progress[S], skill: Skill, tests: S, second
     """Report another skill than before, with its result on the stage's tests."""
     if skill is before.skill:
         return
-    succeeded = torch.zeros(0, dtype=torch.bool)
+    succeeded = torch.empty(0, dtype=torch.bool)
     if len(tests):
         succeeded = try_skill(skill, setup.world_of(tests)).succeeded
     keep, targets = torch.zeros_like(succeeded), torch.ones_like(succeeded)

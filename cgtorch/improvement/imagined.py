@@ -122,7 +122,7 @@ def _ended(
     """The progress with the skill of the stage, which is reported with its result on the tests."""
     if skill is None or skill is progress.skill:
         return progress
-    succeeded = torch.zeros(0, dtype=torch.bool)
+    succeeded = torch.empty(0, dtype=torch.bool)
     if len(tests):
         succeeded = try_skill(skill, setup.world_of(tests)).succeeded
     keep, targets = torch.zeros_like(succeeded), torch.ones_like(succeeded)
@@ -174,7 +174,7 @@ def _record(
     setup: Setup[Any], progress: Progress[Any], state: State, generation: Generation
 ) -> None:
     """Record a checkpoint from which the generation is evaluated again."""
-    champion, nothing = generation.champion, torch.zeros(0, dtype=torch.bool)
+    champion, nothing = generation.champion, torch.empty(0, dtype=torch.bool)
     counts = 0, state.generations, state.inner.spent.transitions
     checkpoint = checkpoint_of(
         Found(champion, nothing, -inf, *counts), generation.islands, setup.evolution.islands

@@ -124,7 +124,7 @@ class State:
     """
 
     known: Known
-    inner: expected.State = field(default_factory=expected.State)
+    inner: expected.State
     skill: Skill | None = None
     waited: int = 0
     patience: int = PATIENCE

@@ -119,12 +119,12 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
 def _without_missed(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Progress[S]:
     """The result of a stage that leaves what earlier ones missed aside, and hands it on."""
     solved, missed = len(progress.solved), progress.missed
-    seen = torch.zeros(0) if progress.seen is None else progress.seen
+    seen = torch.empty(0) if progress.seen is None else progress.seen
     few = replace(progress, missed=missed[:0], seen=seen[:solved])
     after = improve(setup, few, tests, draw)
-    kept = seen[:0] if after.seen is None else after.seen
     both = after.missed.joined(missed)
-    return replace(after, missed=both, seen=torch.cat([kept, seen[solved:]]))
+    parts = [part for part in (after.seen, seen[solved:]) if part is not None]
+    return replace(after, missed=both, seen=torch.cat(parts))
 
 
 def _begun(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> StageState[S]:
@@ -294,7 +294,7 @@ def _on_known(
     most = None if state.repeats else state.most
     known = surely(state, candidate)[rows] * setup.remembers
     new = (known == 0).nonzero()[:, 0]
-    succeeded, actions = known > 0, torch.zeros(0, dtype=torch.long)
+    succeeded, actions = known > 0, torch.empty(0, dtype=torch.long)
     if len(new):
         trial = attempt(setup, candidate.skill, state.scenarios[rows[new]], "trials", most)
         experience.append(trial.experience)

@@ -99,7 +99,7 @@ def begun(state: StageState[S]) -> StageState[S]:
     skill, names = state.current.skill, [member.name for member in state.members]
     found = branches_of(skill)
     chosen = (0,) if found is None else tuple(names.index(name) for name in found[0])
-    branches = torch.zeros(0, 0) if found is None else found[1]
+    branches = torch.empty(0, 0) if found is None else found[1]
     current = Candidate(skill, chosen, branches)
     sent, outcomes = current.sent_to(state.percepts), state.outcomes.clone()
     rows = state.shown.nonzero()[:, 0]

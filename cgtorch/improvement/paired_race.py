@@ -119,7 +119,7 @@ def paired_race(
     where it was lucky. Of few pairs, the gain has to be larger (`student`). Two looks are made
     anyway.
     """
-    own, others, size = torch.zeros(0), torch.zeros(0), FIRST * fresh.pace.at_once
+    own, others, size = torch.empty(0), torch.empty(0), FIRST * fresh.pace.at_once
     first, before = size, fresh.executed
     while True:
         old, new = fresh.of_skills([holder.skill, challenger], size, generator)

@@ -112,6 +112,6 @@ def tried_out(
 
 def _all_steps(episode: OneEpisode) -> Steps:
     d, u = episode.world.percept_size, episode.world.control_size
-    none = torch.zeros(0, dtype=torch.float64), torch.zeros(0, dtype=torch.bool)
-    nothing = Steps(torch.zeros(0, d), torch.zeros(0, u), torch.zeros(0, d), *none)
+    none = torch.empty(0, dtype=torch.float64), torch.empty(0, dtype=torch.bool)
+    nothing = Steps(torch.empty(0, d), torch.empty(0, u), torch.empty(0, d), *none)
     return Steps.joined([nothing, *episode.steps])

@@ -102,7 +102,7 @@ def best_of_searches(
     best = evolve_candidate(setup, name, environment, seeds=seeds)
     for number in range(2, setup.searches + 1):
         if best.solved.all() or best.best >= setup.budget.satisfied:
-            break
+            return best
         start = None if number % 2 == 0 else seeds
         found = evolve_candidate(setup, f"{name} search {number}", environment, seeds=start)
         best = max(best, found, key=lambda each: each.best)

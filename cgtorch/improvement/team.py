@@ -50,7 +50,7 @@ def shares(setup: Setup[S], state: StageState[S], skills: list[Skill]) -> Tensor
     """
     count = len(state.percepts)
     if not skills:
-        return torch.zeros(count, 0)
+        return torch.empty(count, 0)
     about = state.knowledge, state.scenarios, state.percepts, setup.replays
     environment = setup.imagine(*about, setup.generator, "cpu")
     found, steps = [], None if state.repeats else state.most_steps
@@ -198,7 +198,7 @@ def extended(setup: Setup[S], state: StageState[S], rates: Tensor) -> Candidate 
     if current is None or current.branches is None:
         return None
     held = known_rates(state)[:, -1:]
-    more = (rates >= RELIABLE) & (held < RELIABLE)
+    more = (rates >= RELIABLE) & (held == 0)
     more[:, list(current.chosen)] = False
     first = fewest_members(more, setup.team - len(current.chosen))
     if not first:

@@ -113,7 +113,7 @@ def looked(setup: Setup[S], scenarios: S) -> Tensor:
     known = setup.journal.recall(step)
     if known is not None:
         setup.purse.add(step, asked)
-        percepts, count = known.get("percepts", torch.zeros(0)), len(scenarios)
+        percepts, count = known.get("percepts", torch.empty(0)), len(scenarios)
         if percepts.dim() != 2 or len(percepts) != count or percepts.dtype != torch.float32:
             raise RunError(
                 f"the journal's looks are not those at {count} scenarios; remove the journal"

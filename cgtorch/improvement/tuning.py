@@ -176,7 +176,7 @@ def begun(
     if not where.any():
         return None
     steps = torch.tensor([action.first_step for action in actions.actions])[graph.action[0]]
-    own = graph.parameters[0].square().sum(1) / where.sum(1).clamp_min(1)
+    own = graph.parameters[0].square().sum(1) / where.sum(1)
     deviation = torch.maximum(steps, RELATIVE * own.sqrt())[:, None].expand(where.shape)[where]
     deviation = deviation / math.sqrt(len(deviation))
     mean = graph.parameters[0][where]
@@ -264,7 +264,7 @@ def _after(
         longer = math.inf if alike else horizon
         return replace(after, distribution=distribution, horizon=longer), False
     step = min(WIDEST, distribution.step * (WIDER if alike else 1.0))
-    upper = values.mean(1).sort(descending=True).values[: max(1, len(values) // 2)]
+    upper = values.mean(1).sort(descending=True).values[: len(values) // 2]
     earlier = tuning.recent if tuning.horizon == math.inf else ()
     after = replace(
         after,

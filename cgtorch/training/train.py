@@ -207,7 +207,8 @@ def _improved(
     if rehearses and skill is not None:
         learned = [x["fresh"] for x in run.results if x["scenarios"] == kind and "fresh" in x]
         if learned:
-            share = learned[-1]["succeeded"] / learned[-1]["tried"]
+            last = learned[-1]
+            share = last["succeeded"] / last["tried"]
             return rehearse(setup, before, skill, tests, draw, share)
     return METHODS[run.settings.method](setup, before, tests, draw)
 

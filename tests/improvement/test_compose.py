@@ -9,7 +9,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from support import random_skill, seeded, world
+from support import custom_actions, random_skill, seeded, world
 from told_by_runs import tensors_of
 
 from cgtorch.graphs import ActionSet, Skill, from_networkx, load_skill, same_behaviour, save_skill
@@ -17,6 +17,7 @@ from cgtorch.graphs.view import View
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.improvement.compose import (
+    branches_of,
     branching_action,
     broad_group,
     compose,
@@ -25,6 +26,7 @@ from cgtorch.improvement.compose import (
     specialists_of,
 )
 from cgtorch.improvement.gating import selected_members, train_gating
+from cgtorch.improvement.setup import Grouping
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import Detect, Grasp, MoveBase, paper_actions
 
@@ -55,6 +57,8 @@ def test_each_scenario_is_run_by_the_member_it_is_sent_to(count: int) -> None:
     skill = compose("all", team, parameters, ACTIONS, max_transitions=count + 1)
     assert skill.num_nodes == 2 * count - 1
     assert skill.depth == 2
+    assert not skill.graph.parameters[0, count - 1 :].any()  # members are frozen
+    assert compose("all", team, parameters, ACTIONS, 1).max_transitions == count + 1
     place = world(0, COUNT)
     member = selected_members(BRANCH, parameters, place.start(torch.arange(COUNT))[1])
     alone = [rollout(s.graph, s.actions, place, max_transitions=s.max_transitions) for s in team]
@@ -182,6 +186,15 @@ def test_few_members_solve_all_that_any_solve(seed: int, rows: int, count: int, 
     assert fewest <= len(every) <= harmonic * max(1, fewest)
 
 
+def test_the_members_of_a_composed_skill_are_named_once_each_in_the_order_of_its_branches() -> None:
+    actions, team, parameters = custom_actions(), members(3), torch.rand(2, BRANCH.num_parameters)
+    assert actions.outcome_capacity > 2
+    found = branches_of(compose("all", team, parameters, actions, 20))
+    assert found is not None
+    assert found[0] == [each.name for each in team]
+    assert torch.equal(found[1], parameters)
+
+
 def test_specialists_are_the_innermost_skills() -> None:
     a, b, c = members(3)
     first = compose("S0", [a, b], branches(2, 0), ACTIONS, 20)
@@ -228,3 +241,19 @@ def test_every_missed_scenario_may_be_of_the_group() -> None:
     missed = torch.arange(6) % 2 == 0
     groups = [broad_group(torch.zeros(6, 1), missed, 1, seeded(i)).tolist() for i in range(30)]
     assert {row for group in groups for row in group} == {0, 2, 4}
+
+
+@pytest.mark.parametrize("group_of", [broad_group, local_group])
+def test_a_group_follows_from_its_generator(group_of: Grouping) -> None:
+    percepts, missed = torch.randn(50, 2, generator=seeded(0)), torch.ones(50, dtype=torch.bool)
+    first, again = (group_of(percepts, missed, 9, seeded(1)) for _ in range(2))
+    assert torch.equal(first, again)
+
+
+def test_of_scenarios_that_are_equally_near_the_first_ones_are_of_the_group() -> None:
+    percepts, missed = torch.arange(200)[:, None] % 2.0, torch.ones(200, dtype=torch.bool)
+    group = local_group(percepts, missed, 130, seeded(0))
+    same = percepts[group, 0] == percepts[group[0], 0]
+    assert same.tolist() == [True] * 100 + [False] * 30
+    for part in (group[:100], group[100:]):
+        assert part.tolist() == sorted(part.tolist())

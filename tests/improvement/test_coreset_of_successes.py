@@ -39,6 +39,9 @@ def test_the_same_percept_is_kept_once() -> None:
     rows, distance = cover(torch.eye(3).repeat(4, 1), 10)
     assert rows.tolist() == [0, 1, 2]
     assert distance == 0
+    rows, distance = cover(torch.zeros(4, 2), 4)  # unless there is room for all
+    assert (rows.tolist(), distance) == ([0, 1, 2, 3], 0)
+    assert cover(torch.arange(9.0)[:, None], 1) == (torch.tensor([0]), 8)
 
 
 def test_it_is_at_most_twice_as_far_as_with_the_best_choice() -> None:

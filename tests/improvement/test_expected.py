@@ -1,6 +1,7 @@
 """A search for the best mean: what it finds, when it ends, and that it goes on to the same."""
 
 import itertools
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,10 +26,12 @@ from cgtorch.improvement.events import (
     MeanTested,
     SkillAccepted,
 )
-from cgtorch.improvement.expected import improve_expected
+from cgtorch.improvement.expected import _tell, improve_expected
+from cgtorch.improvement.expected_state import Spent, State
 from cgtorch.improvement.pace import BY_ROLLOUT
+from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.setup import Budget, Progress, Setup
-from cgtorch.improvement.spread import FEWEST
+from cgtorch.improvement.spread import FEWEST, Need
 from cgtorch.improvement.trial import try_skill
 from cgtorch.improvement.tuning import update
 from cgtorch.runs.journal import FileJournal
@@ -170,6 +173,7 @@ def ignored(event: Event) -> None:
 def test_what_is_found_is_told_with_its_result_on_the_tests() -> None:
     told: list[Event] = []
     setup, tests = setup_of(told.append, budget=Budget(1)), tickets(30, seeded(5))
+    began = time.perf_counter()
     after = improve_expected(setup, BEFORE, tests, tickets)
     (accepted,) = of_kind(told, SkillAccepted)
     (done,) = of_kind(told, GenerationDone)
@@ -181,7 +185,7 @@ def test_what_is_found_is_told_with_its_result_on_the_tests() -> None:
     trial = try_skill(after.skill, PaidLottery(tests))
     assert torch.equal(accepted.succeeded, trial.succeeded)
     assert (accepted.keep.any(), accepted.targets.all()) == (False, True)
-    assert 0 < done.seconds <= accepted.seconds
+    assert 0 < done.seconds <= accepted.seconds < time.perf_counter() - began
     assert done.limit == 1
     first, *later = of_kind(told, MeanTested)
     assert first.new
@@ -244,6 +248,39 @@ def test_it_is_the_same_after_an_interruption(
     assert [e.generation.best for e in own] == [e.generation.best for e in rest]
     last = [of_kind(events, MeanTested)[-1] for events in (whole, again)]
     assert replace(last[0], skill=last[1].skill) == last[1]
+
+
+def test_a_mean_is_told_if_it_is_another_ones_or_better_known() -> None:
+    told: list[Event] = []
+    setup, first = setup_of(told.append), Holder(staking(1.0)).met(torch.tensor([1.0, 2.0]))
+    later, other = first.met(torch.tensor([3.0])), Holder(staking(0.5), math.inf, 0.0, 1)
+    state = State(need=Need(7), spent=Spent(episodes=40))
+    for holder, before, new in (
+        (None, None, None),
+        (Holder(staking(1.0)), None, None),
+        (first, first, None),
+        (first, None, True),
+        (later, first, False),
+        (other, first, True),
+    ):
+        told.clear()
+        _tell(setup, replace(state, holder=holder), before)
+        assert [event.new for event in of_kind(told, MeanTested)] == [new] * (new is not None)
+    (event,) = of_kind(told, MeanTested)
+    assert (event.mean, event.error, event.tried) == (None, None, 1)
+    assert (event.scenarios, event.episodes) == (7, 40)
+    told.clear()
+    _tell(setup, replace(state, holder=first), None)
+    (event,) = of_kind(told, MeanTested)
+    assert (event.mean, event.error) == (1.5, 0.5)
+
+
+def test_an_earlier_skill_of_other_actions_becomes_no_seed() -> None:
+    other = replace(staking(1.0, name="earlier"), actions=ACTIONS.extended(["More"], [Idle()]))
+    before = replace(BEFORE, skill=other)
+    after = searched(setup_of(ignored, budget=Budget(1)), before)
+    assert after.skill is other
+    assert after.specialists is None
 
 
 def test_a_generation_in_which_the_time_ends_is_told_too() -> None:

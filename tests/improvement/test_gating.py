@@ -14,7 +14,10 @@ from cgtorch.graphs import BranchingNN
 from cgtorch.ground.environment import start_lanes
 from cgtorch.improvement import gating as gate
 from cgtorch.improvement.gating import (
+    BLUR,
     _most_reliable,
+    _scale_and_blur,
+    _shares,
     _unscaled,
     gradient_in_torch,
     gradient_of,
@@ -158,6 +161,28 @@ def test_of_equally_right_tries_the_one_with_the_widest_margin_is_chosen() -> No
     about = seen, solves, torch.ones(40)
     assert _most_reliable(BRANCH, tries, *about, seeded(0)) == 2
     assert _most_reliable(BRANCH, tries[:2], *about, seeded(0)) == 1
+
+    weight = torch.ones(40)
+    weight[20:] = 0  # where the first one alone sends to a member that fails
+    assert _most_reliable(BRANCH, tries[:2], seen, solves, weight, seeded(0)) == 0
+
+
+def test_inputs_that_hardly_vary_are_noise_unless_all_of_them_do() -> None:
+    unit = torch.tensor([[-1.0], [1.0]]) / 2**0.5  # whose standard deviation is 1
+    for deviations, scales, blur in (
+        ([0.5, 0.01, 0.0], [0.5, 0.1, 0.1], BLUR),
+        ([0.1, 0.1, 0.0], [0.1, 0.1, 0.1], BLUR),
+        ([0.05, 0.01, 0.0], [0.05, 0.05, 0.05], BLUR / 2),
+        ([0.0, 0.0, 0.0], [0.1, 0.1, 0.1], BLUR),
+    ):
+        scale, noise = _scale_and_blur(unit * torch.tensor(deviations))
+        assert scale.tolist() == pytest.approx(scales)
+        assert noise == pytest.approx(blur)
+
+
+def test_shares_of_weights_add_up_to_one_unless_there_are_none() -> None:
+    assert _shares(torch.tensor([1.0, 0.0, 3.0])).tolist() == [0.25, 0.0, 0.75]
+    assert _shares(torch.zeros(3)).tolist() == [0, 0, 0]
 
 
 def case(

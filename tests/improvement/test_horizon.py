@@ -12,6 +12,7 @@ from walking import RewardedPath, chain, walking_actions, walks
 
 from cgtorch.evolution.fitness import WORST
 from cgtorch.graphs import concatenate
+from cgtorch.improvement import horizon as module
 from cgtorch.improvement.horizon import HORIZONS, Played, played_until, selected_gain
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
 from cgtorch.improvement.paired_race import Fresh
@@ -58,6 +59,20 @@ def test_the_horizon_is_the_shortest_from_which_on_selection_is_good() -> None:
         assert known(early, worth, whole(128)).horizon(0.0, 0.0) == wanted
 
 
+def test_a_gain_that_is_just_enough_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = torch.randn(COUNT, generator=seeded(0)).double()
+    luck = torch.randn(COUNT, generator=seeded(1)).double()
+    monkeypatch.setattr(module, "KEPT", selected_gain(luck, values))
+    assert known([luck], values, whole(128)).horizon(0.0, 0.0) == HORIZONS[0]
+
+
+def test_of_samples_that_seem_alike_the_first_ones_are_selected() -> None:
+    seen, values = torch.arange(100) % 3.0, torch.arange(100).double()
+    order = sorted(range(100), key=lambda row: -float(seen[row]))
+    ranks = torch.empty(100).scatter_(0, torch.tensor(order), torch.arange(100.0).flip(0))
+    assert selected_gain(seen, values) == selected_gain(ranks, values)
+
+
 def test_it_is_longer_than_most_episodes_that_end_early() -> None:
     values, steps = torch.randn(COUNT, generator=seeded(0)).double(), whole()
     steps[:10], steps[10:12] = 100.0, 160.0
@@ -83,6 +98,14 @@ def test_a_toll_is_taken_from_early_returns_for_the_share_of_the_transitions() -
     assert found.worth(4.0).tolist() == steps.flip(0).tolist()
     assert found.horizon(0.0, 4.0) < free
     assert found.horizon(0.0, 4.0) == 2 * float(steps[:-1].mean())
+
+
+def test_a_toll_is_taken_from_early_returns_by_what_was_played_until_then() -> None:
+    steps, lengths = whole(64), torch.linspace(10, 90, COUNT).double()
+    shares = torch.tensor(HORIZONS).double().div(64).clamp_max(1)
+    early = 8 * lengths[:, None] * shares
+    found = Played(8 * lengths[:, None], lengths[:, None], steps[:, None], early[:, None])
+    assert found.horizon(0.0, 4.0) == HORIZONS[0]
 
 
 def walkers(place: Fresh, horizon: float) -> Played:

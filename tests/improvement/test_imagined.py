@@ -13,8 +13,10 @@ from support import same, seeded
 from watched import of_kind
 
 from cgtorch.evolution import REWARDS
+from cgtorch.evolution.population import random_population
 from cgtorch.graphs import Skill
 from cgtorch.ground.asked import BudgetSpentError, Purse
+from cgtorch.ground.environment import start_lanes
 from cgtorch.improvement.events import (
     EpisodePlayed,
     Event,
@@ -24,9 +26,9 @@ from cgtorch.improvement.events import (
     ModelsFitted,
     SkillAccepted,
 )
-from cgtorch.improvement.imagined import improve_imagined
+from cgtorch.improvement.imagined import _ended, _founded, improve_imagined
 from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT, Search
-from cgtorch.improvement.played import OneEpisode, tried_out
+from cgtorch.improvement.played import OneEpisode, Steps, tried_out
 from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.journal import FileJournal
@@ -177,6 +179,63 @@ def test_champions_of_the_world_are_told() -> None:
     searched(setup_of(told.append))
     played = [e for e in of_kind(told, EpisodePlayed) if e.phase == "champions"]
     assert [e.mean for e in of_kind(told, MeanTested)] == [e.returned for e in played]
+
+
+def test_another_skill_is_told_with_its_tests_and_becomes_a_seed() -> None:
+    told: list[Event] = []
+    setup, tests = setup_of(told.append), DOMAIN.draw("any", 4, seeded(7))
+    graphs = random_population(2, setup.actions, 6, (2, 4), seeded(0)).graphs
+    old, new = (Skill(name, graphs[:1], setup.actions, 50) for name in ("old", "new"))
+    before, first = replace(BEFORE, skill=old), time.perf_counter()
+    for skill in (None, old):
+        assert _ended(setup, before, skill, tests, first) is before
+    assert not told
+    after = _ended(setup, before, new, tests, first)
+    assert after.skill is new
+    assert after.specialists is not None
+    assert same(after.specialists.graphs, new.graph)
+    assert len(after.specialists.strategy) == 1
+    _ended(setup, BEFORE, new, NOTHING, first)
+    one, other = of_kind(told, SkillAccepted)
+    wanted = try_skill(new, DOMAIN.world(tests)).succeeded
+    assert (one.succeeded.tolist(), one.parent) == (wanted.tolist(), "old")
+    assert (one.keep.tolist(), one.targets.tolist()) == ([False] * 4, [True] * 4)
+    assert (one.other_noise, len(other.succeeded), other.parent) == (None, 0, None)
+    assert 0 <= one.seconds < time.perf_counter() - first
+
+
+def test_islands_are_founded_with_seeds_and_go_on_from_a_generation() -> None:
+    evolution = replace(SMALL, islands=2, lineages=0)
+    setup = replace(setup_of(lambda _: None), evolution=evolution)
+    seed = random_population(1, setup.actions, 6, (2, 4), seeded(0))
+    islands = _founded(setup, seed, 7)
+    assert [each.generation for each in islands] == [7, 7]
+    first, second = (each.population.graphs.parameters for each in islands)
+    assert not torch.equal(first, second)
+    for each, other in zip(islands, _founded(setup, None, 7), strict=True):
+        assert len(each.population) == evolution.population
+        assert not torch.equal(each.population.graphs.action, other.population.graphs.action)
+
+
+def test_what_is_not_carried_out_costs_nothing_and_is_no_step() -> None:
+    purse = Purse()
+    episode = OneEpisode(DOMAIN.world(Places(torch.tensor([0.95]))), purse, "trials", 9, 30)
+    lanes = start_lanes(episode, torch.arange(1), 0, 0)
+    lanes, done = episode.step(lanes, torch.full((1, 1), torch.nan))
+    assert (done.tolist(), purse.total.motions) == ([False], 0)
+    lanes, done = episode.step(lanes, torch.ones(1, 1))
+    assert (done.tolist(), purse.total.motions) == ([True], 1)
+    assert float(episode.returns(lanes)) == 19
+    episode.step(lanes, torch.ones(1, 1))
+    assert purse.total.motions == 1  # as it is over
+    first, second, third = episode.steps
+    assert [len(first), len(second)] == [0, 1]
+    assert second.rows(torch.tensor([True])).reward.tolist() == [19]
+    assert (
+        Steps.joined([second, second.rows(torch.zeros(2, dtype=torch.long))]).ended.tolist()
+        == [True] * 3
+    )
+    assert len(third) <= 1
 
 
 def test_an_episode_is_broken_off_and_only_its_own_end_is_one() -> None:

@@ -120,19 +120,15 @@ def told_skill(graphs: Graphs) -> Skill:
     return Skill("cart", graphs, DOMAIN.actions(), 500)
 
 
-def test_what_is_wanted_of_an_episode_that_is_broken_off_is_less() -> None:
-    search = search_of(satisfied=8.0)
-    assert search.wanted(LIMIT // 2) == 4
-    assert search.wanted(2 * LIMIT) == 8
-
-
 class LongModels(GivenModels):
     """Those of a world whose episodes take twice as many steps as imagined ones."""
 
     most_steps = 2 * HORIZON
 
 
-def test_imagined_episodes_that_are_broken_off_need_less() -> None:
+def test_what_is_wanted_of_an_episode_that_is_broken_off_is_less() -> None:
+    search = search_of(satisfied=8.0)
+    assert (search.wanted(LIMIT // 2), search.wanted(2 * LIMIT)) == (4, 8)
     assert search_of(satisfied=8.0, kind=LongModels).wanted(HORIZON) == 4
 
 
@@ -159,6 +155,8 @@ def test_a_holder_is_promising_if_enough_values_are_surely_enough(begun: State) 
     assert not promising(8.1)
     assert not promising(7.9, count=KNOWN - 1)
     assert not search_of(satisfied=7.9).promising(begun)
+    exactly = Holder(told_skill(GOOD), 8.0 * KNOWN, 64.0 * KNOWN, KNOWN)
+    assert search_of(8.0).promising(replace(begun, inner=replace(begun.inner, holder=exactly)))
 
 
 def test_a_holder_that_was_lucky_is_known_better_and_not_played(begun: State) -> None:
@@ -170,14 +168,19 @@ def test_a_holder_that_was_lucky_is_known_better_and_not_played(begun: State) ->
     assert search.setup.purse.total == Asked()
     assert state.inner.holder is not None
     assert state.inner.holder.count >= KNOWN + imagined_search.SURE
+    assert (state.inner.spent.tuned, state.inner.spent.rivals) == (0, 0)
 
 
-def test_a_graph_promises_a_mean_with_an_error_on_fresh_episodes(begun: State) -> None:
+def test_a_graph_promises_a_mean_with_an_error_on_fresh_episodes(
+    begun: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
     search = search_of()
     values = search.imagined(GOOD, begun.known.world(200, HORIZON, seeded(1))).double()
     mean, error = search.promised(GOOD, begun.known.world(200, HORIZON, seeded(1)))
     assert mean == pytest.approx(float(values.mean()))
     assert error == pytest.approx(float(values.std()) / FRESH**0.5)
+    monkeypatch.setattr(Search, "imagined", lambda *_: torch.tensor([-inf, 1.0]))
+    assert search.promised(GOOD, begun.known.world(2, HORIZON, seeded(1))) == (-inf, inf)
 
 
 def test_each_refused_offer_asks_for_more_up_to_a_limit(begun: State) -> None:
@@ -260,11 +263,8 @@ def test_there_is_no_episode_before_patience_is_over(begun: State) -> None:
     assert search.setup.purse.total == Asked()
     late = search_of(satisfied=1e6)
     late.setup.purse.until = 0.0
-    state, _ = late.after(
-        replace(begun, waited=9, mark=inf),
-        generation_of(search, begun, POOR),
-        seeded(1),
-    )
+    patient = replace(begun, waited=9, mark=inf)
+    state, _ = late.after(patient, generation_of(search, begun, POOR), seeded(1))
     assert (state.waited, late.setup.purse.total) == (10, Asked())
 
 
@@ -307,6 +307,48 @@ def test_who_explores_is_offered_if_it_reaches_the_target(
     assert same(state.skill.graph, GOOD)
     state, offered = after(search_of(satisfied=30.0), impatient, champion=GOOD)
     assert (offered, state.skill, state.seed) == (False, None, None)
+    for satisfied, sure in ((30.0, True), (8.0, False)):
+        monkeypatch.setattr(Search, "surely", lambda *_, sure=sure: sure)
+        assert not after(search_of(satisfied), impatient)[1]
+
+
+def test_a_champion_is_kept_if_the_world_gives_what_was_imagined_or_what_is_wanted(
+    begun: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search, table = search_of(), [(9, 8, 1.5, 1), (9, 7.5, 1, 1), (9, 7.5, 1.1, 0), (8, 7.5, 0, 1)]
+    for said, reached, short, kept in (*table, (7.5, 7.5, -1, 0)):
+        found = begun, float(reached), float(short)
+        monkeypatch.setattr(Search, "promised", lambda *_, said=said: (said, 0.0))
+        monkeypatch.setattr(Search, "_played", lambda *_, found=found: found)
+        for sure in (True, False):
+            monkeypatch.setattr(Search, "surely", lambda *_, sure=sure: sure)
+            state, offered = search._champion_played(begun, told_skill(GOOD), seeded(1))
+            assert offered is (state.skill is not None) is (bool(kept) and sure)
+
+
+def test_it_is_told_how_much_more_was_imagined_from_where_an_episode_began(begun: State) -> None:
+    search, generator = search_of(), seeded(2)
+    _, reached, short = search._played(begun, GOOD, CHAMPIONS, HORIZON, seeded(2))
+    start = search._episode(CHAMPIONS, HORIZON, generator).world.start(torch.arange(1))[1]
+    here = begun.known.begun_at(start, imagined_search.SURE, HORIZON, generator)
+    assert short == pytest.approx(float(search.imagined(GOOD, here).mean()) - reached)
+
+
+def test_who_explores_is_evolved_for_some_generations_in_other_episodes_each(
+    begun: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, curious, late = list[int](), type(begun.known).curious, search_of()
+
+    def counted(known: Any, count: int, *about: Any) -> Any:
+        told.append(count)
+        return curious(known, count, *about)
+
+    monkeypatch.setattr(imagined_search, "EXPLORING", 1)
+    monkeypatch.setattr(type(begun.known), "curious", counted)
+    search_of().exploring(begun.known, seeded(1))
+    late.setup.purse.until = 0.0
+    late.exploring(begun.known, seeded(1))
+    assert told == [imagined_search.EACH] * 3
 
 
 def test_nothing_is_searched_for_where_no_reward_so_far_adds_up_to_what_is_wanted(

@@ -84,6 +84,8 @@ def test_nothing_that_was_solved_is_lost(
         seen = first_percepts(setup.world_of(after.solved.joined(after.missed)))
         assert torch.equal(after.seen, seen)
         assert int(event.keep.sum()) == len(progress.solved)
+        assert event.parent == (None if progress.skill is None else progress.skill.name)
+        assert 0 < event.seconds < 100
         assert event.succeeded[event.keep].all()
         assert event.succeeded[~event.keep].any()
         assert int(event.targets.sum()) == 5 + len(progress.missed)
@@ -138,6 +140,7 @@ def test_where_nothing_can_be_solved_all_stays_and_the_models_learn(
     assert not of_kind(told, SkillAccepted)
     fitted: list[ModelsFitted] = of_kind(told, ModelsFitted)
     assert [event.summary.first for event in fitted] == [False] * 3  # of the run
+    assert all(0 <= event.seconds < 100 for event in fitted)
     before = nothing_yet.knowledge
     rows = [len(k.dataset.tested) + len(k.aside.tested) for k in (before, after.knowledge)]
     assert rows[1] - rows[0] == hopeless.purse.total.tests > 0
@@ -269,4 +272,5 @@ def test_the_papers_method_draws_scenarios_where_there_is_nothing_else_to_solve(
     one = random_scenarios("near", 1, seeded(3))
     grow(setup, first_stage(), one, draw)
     grow(setup, first_stage(missed=one), NONE, draw)
+    grow(setup, first_stage(missed=one), one, draw)
     assert drawn == [5]

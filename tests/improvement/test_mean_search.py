@@ -9,7 +9,8 @@ from lottery_search import HELD, PLAYED, after_one, generation_of, search_of, tu
 from support import same, seeded
 
 from cgtorch.evolution import chance_of_success, evolve
-from cgtorch.graphs import ActionSet, BranchingNN, widened
+from cgtorch.graphs import ActionSet, BranchingNN, Graphs, widened
+from cgtorch.ground.environment import Environment
 from cgtorch.improvement.expected_state import SHARE, Spent, State
 from cgtorch.improvement.mean_search import (
     CERTAIN,
@@ -18,10 +19,11 @@ from cgtorch.improvement.mean_search import (
     TRIED,
 )
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
-from cgtorch.improvement.paired_race import Holder
+from cgtorch.improvement.paired_race import Fresh, Holder
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
 from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES
+from cgtorch.simulation import Rollouts
 
 
 def test_a_generation_is_counted_and_its_champion_is_the_first_holder() -> None:
@@ -167,6 +169,25 @@ def test_who_finishes_no_episode_holds_nothing() -> None:
     assert state.holder is None
 
 
+class Partly(Fresh):
+    """Episodes of which the first one does not end."""
+
+    def runs(self, graphs: Graphs, actions: ActionSet, world: Environment) -> Rollouts:
+        found = super().runs(graphs, actions, world)
+        assert found.returns is not None
+        ended = torch.arange(found.returns.shape[1]) > 0
+        return replace(found, returns=torch.where(ended, found.returns, -torch.inf))
+
+
+def test_the_first_holder_has_finished_all_of_its_episodes() -> None:
+    usual = search_of()
+    search = replace(usual, fresh=Partly(usual.fresh.world, 4))
+    assert search._raced(State(), staking(1.0), seeded(0)) == (State(), False)
+    state, won = usual._raced(State(), staking(1.0), seeded(0))
+    assert (state.holder is not None, won) == (True, True)
+    assert usual.first_state(state.holder).holder is state.holder
+
+
 def test_individuals_that_are_tuned_are_guests() -> None:
     search = search_of()
     assert search.guests(State()) is None
@@ -174,6 +195,7 @@ def test_individuals_that_are_tuned_are_guests() -> None:
     guests = search.guests(State(tuning=one, rivals=(two,)))
     assert guests is not None
     assert guests.graphs.parameters[:, 0, 0].tolist() == pytest.approx([0.1, 0.2])
+    assert len(guests.strategy) == 2
     only = search.guests(State(rivals=(two,)))
     assert only is not None
     assert only.graphs.parameters[:, 0, 0].tolist() == pytest.approx([0.2])

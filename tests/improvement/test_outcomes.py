@@ -10,8 +10,18 @@ from hypothesis import strategies as st
 from members import nearly
 from reaching import world_of
 from support import seeded
-from watched import Watched, along, first_stage, keys, stage_of, state_of, without_models
+from watched import (
+    Watched,
+    along,
+    first_stage,
+    keys,
+    recruited,
+    stage_of,
+    state_of,
+    without_models,
+)
 
+from cgtorch.improvement import team
 from cgtorch.improvement.compose import branches_of, branching_action, compose
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.outcomes import (
@@ -112,6 +122,18 @@ def test_members_meet_one_scenario_before_they_meet_many() -> None:
     again = tried(setup, state, [0])
     fresh = (again.outcomes != 0) & (state.outcomes == 0)
     assert not fresh[solved.any(1)].any()
+
+
+def test_whoever_has_failed_is_not_tried_again_when_a_member_joins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    idle = [replace(nearly(-1.0 - i), name=f"idle {i}") for i in range(3)]
+    recruited(monkeypatch, idle[2])
+    scenarios = random_scenarios("perimeter", 5, seeded(0))
+    state = state_of(scenarios, (idle[0], idle[1]))
+    _, after = team.proposed(stage_of(without_models(remembers=True)), state)
+    assert after.outcomes[0].tolist() == [-1] * 3
+    assert not after.outcomes[1:].any()
 
 
 def test_a_stage_begins_with_what_its_skill_has_shown() -> None:

@@ -1,6 +1,7 @@
 """A holder falls only to a skill that is better on fresh scenarios, whatever luck says."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -11,8 +12,20 @@ from support import seeded
 from torch import Generator
 
 from cgtorch.graphs import BranchingNN, Skill
+from cgtorch.improvement import paired_race as paired
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
-from cgtorch.improvement.paired_race import FIRST, Fresh, Holder, paired_race, student, what_counts
+from cgtorch.improvement.paired_race import (
+    AT_LAST,
+    FIRST,
+    HOPELESS,
+    MANY,
+    SURE,
+    Fresh,
+    Holder,
+    paired_race,
+    student,
+    what_counts,
+)
 
 BEST, GOOD, BAD = staking(1.0), staking(0.9), staking(0.0, 1.0)
 """Skills that win 90, 87.5 and 40 % of their tickets."""
@@ -122,6 +135,53 @@ def test_a_clear_difference_is_decided_after_few_pairs() -> None:
     place = fresh(paid=True)
     assert paired_race(place, Holder(BAD), BEST, 16 * FIRST, seeded(3)).skill is BEST
     assert place.episodes < 2 * 8 * FIRST
+
+
+def test_a_race_has_as_many_pairs_as_its_budget_pays_and_two_looks_at_least() -> None:
+    for budget, pairs in ((200, 100), (0, 2 * FIRST), (2 * 2 * FIRST + 2, 2 * FIRST + 1)):
+        place = replace(fresh(), executed=50)
+        assert paired_race(place, Holder(BEST), staking(1.0), budget, seeded(0)).skill is BEST
+        assert place.episodes == 2 * pairs
+
+
+class Given(Fresh):
+    """The challenger gains a mean, more and less by 1 in turns; episodes cost an action."""
+
+    gain = 0.0
+
+    def of_skills(self, skills: Sequence[Skill], count: int, generator: Generator) -> torch.Tensor:
+        self.executed += 2 * count
+        others = self.gain + torch.arange(count) % 2 * 2 - 1
+        return torch.stack([torch.zeros(count), others])
+
+
+def raced(errors: float, at: int, pairs: int) -> tuple[bool, int]:
+    """Whether a challenger wins that gains so many standard errors at a look, and the pairs."""
+    place = Given(fresh().world, max_transitions=3)
+    place.gain = errors / (at - 1) ** 0.5  # as the deviation of n is that of n / (n - 1)
+    winner = paired_race(place, Holder(BAD), BEST, 2 * pairs, seeded(0))
+    return winner.skill is BEST, place.executed // 2
+
+
+def test_what_has_to_be_gained_depends_on_the_look() -> None:
+    second = 2 * FIRST
+    assert raced(1.01 * student(SURE, second - 1), second, 999) == (True, second)
+    assert raced(0.99 * student(SURE, second - 1), second, second) == (False, second)
+    assert raced(-1.01 * HOPELESS, second, 999) == (False, second)
+    assert raced(-0.99 * HOPELESS, second, second + 4) == (False, second + 4)
+    assert raced(-1.01 * student(SURE, FIRST - 1), FIRST, 999) == (False, FIRST)
+    assert raced(-0.99 * student(SURE, FIRST - 1), FIRST, 999) == (False, second)
+    for pairs, enough in ((MANY, AT_LAST), (MANY - 2, SURE)):
+        needed = student(enough, pairs - 1)
+        assert raced(1.01 * needed, pairs, pairs) == (True, pairs)
+        assert raced(0.99 * needed, pairs, pairs) == (False, pairs)
+
+
+def test_many_scenarios_are_played_in_several_rollouts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(paired, "MOST_AT_ONCE", 8)
+    place = fresh()
+    assert place.of_skills([BEST, BAD], 20, seeded(0)).shape == (2, 20)
+    assert place.episodes == 40
 
 
 def test_the_first_look_decides_a_clear_loss_and_never_a_gain() -> None:

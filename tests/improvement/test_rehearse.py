@@ -105,6 +105,16 @@ def test_a_part_of_a_fifth_counts(improved: list[Progress[Scenarios]]) -> None:
     assert not improved
 
 
+def test_percepts_begin_with_a_rehearsal_if_there_are_none(
+    improved: list[Progress[Scenarios]],
+) -> None:
+    after, _ = rehearsed([True, False, True, True], 0.5, first_stage(SKILL))
+    assert not improved
+    assert after.seen is not None
+    both = after.solved.joined(after.missed)
+    assert torch.equal(after.seen, first_percepts(world_of(both)))
+
+
 def test_what_it_misses_is_handed_on(improved: list[Progress[Scenarios]]) -> None:
     good = [True, False, True, True, False, True, True, True, True, True]
     after, told = rehearsed(good, 0.8, known(world_of, SKILL, GOOD[20:23], BAD[8:9]))

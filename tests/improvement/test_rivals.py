@@ -127,11 +127,11 @@ def test_the_one_with_the_fewest_updates_is_next_and_several_are_compared() -> N
 
 def test_the_simplest_has_no_memory_and_few_parameters() -> None:
     actions = ActionSet(
-        ("Small", "Large", "Recur"), (LinearNN(3, 1), LinearNN(9, 1), RecurrentNN(1, 1, 1))
+        ("Recur", "Large", "Small"), (RecurrentNN(1, 1, 1), LinearNN(9, 1), LinearNN(3, 1))
     )
     graph = replace(staking(1.0).graph, parameters=torch.ones(1, 1, actions.parameter_capacity))
     every = [
-        begun(replace(graph, action=torch.tensor([[action]])), actions, 1) for action in (2, 1, 0)
+        begun(replace(graph, action=torch.tensor([[action]])), actions, 1) for action in range(3)
     ]
     rivals = [each for each in every if each is not None]
     assert simplest(rivals, actions) is rivals[2]

@@ -67,6 +67,32 @@ def test_first_steps_are_as_long_as_actions_ask_for() -> None:
     assert lengthened(old) is old
 
 
+def test_all_have_a_turn_unless_any_rival_needs_fewer_scenarios_or_there_is_nobody_else() -> None:
+    one, few, many = tuned(1.0, 9), tuned(0.2, 8), tuned(0.5, 10)
+    spent = Spent(rivals=10)  # so that the holder's tuning is behind
+    for tuning, rivals, turn in (
+        (one, (many, few), (one,)),
+        (one, (many, many), (many, many, one)),
+        (one, (), (one,)),
+        (None, (many, few), (many, few)),
+        (None, (), ()),
+    ):
+        assert search()._turn(State(tuning=tuning, rivals=rivals, spent=spent)) == turn
+
+
+def test_what_begins_to_be_tuned_has_long_first_steps() -> None:
+    one = search()
+    generation = next(evolve(world(2, seeded(0)), ACTIONS, one.structures, seeded(0)))
+    state = one._with_rivals(State(), generation)
+    assert state.tuning is not None
+    for each in (state.tuning, *state.rivals):
+        about = each.distribution
+        assert about.step == pytest.approx(len(about.mean) ** 0.5)
+    later = one._with_rivals(State(), replace(generation, number=1))
+    assert later.tuning is None
+    assert {each.distribution.step > 1 for each in later.rivals} == {True}
+
+
 def test_further_values_of_the_holder_count_beside_earlier_ones() -> None:
     one, skill = search(), staking(1.0)
     assert one.known_better(State(), 5, seeded(1)) == State()

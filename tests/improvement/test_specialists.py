@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +27,7 @@ from cgtorch.evolution import (
     tournament,
 )
 from cgtorch.graphs import valid
-from cgtorch.improvement import specialists
+from cgtorch.improvement import specialists, team
 from cgtorch.improvement.checkpoint import Found
 from cgtorch.improvement.events import GenerationDone
 from cgtorch.improvement.improve import improve
@@ -80,6 +81,7 @@ def test_few_missed_scenarios_are_joined_by_solved_ones(
     ("best", "solved", "satisfied", "groups"),
     [
         (0.6, 7, 0.5, [8, 16, 32]),
+        (0.5, 7, 0.5, [8, 16, 32]),
         (0.4, 7, 0.5, [8]),
         (0.4, 8, 0.5, [8, 16]),
         (0.4, 8, math.inf, [8, 16]),
@@ -173,6 +175,76 @@ def test_the_best_search_is_kept(results: list[tuple[float, bool]]) -> None:
             break
 
 
+def test_an_evolution_begins_with_its_seeds() -> None:
+    told: list[Any] = []
+    seeds = Population(nearly(0.3).graph, initial_strategy(1))
+    budget = Budget(generations=3, enough=2.0, patience=9)
+    setup, began = stage_of(without_models(budget=budget), told.append), time.perf_counter()
+    found = evolve_candidate(setup, "S1.1", model(0, 5), seeds=seeds)
+    done, *later = of_kind(told, GenerationDone)
+    assert (done.limit, done.size_w, done.size_m) == (3, 0, 5)
+    assert (len(later), found.generations) == (2, 3)
+    seconds = sum(each.seconds for each in (done, *later))
+    assert 0 < seconds == pytest.approx(found.seconds)
+    assert seconds < time.perf_counter() - began
+    action = done.generation.population.graphs.action[:, :3]
+    copies = (action == seeds.graphs.action[0, :3]).all(1)
+    assert int(copies.sum()) >= setup.evolution.population // 2
+
+
+def test_of_many_seeds_the_newest_begin_beside_as_many_new_individuals(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told = list[Population | None]()
+    monkeypatch.setattr(specialists, "best_of_searches", lambda *about: told.append(about[-1]))
+    many = join(*(Population(nearly(i / 100).graph, initial_strategy(1)) for i in range(40)))
+    for remembers, seeds in ((True, many), (False, many), (True, None)):
+        setup = stage_of(without_models(remembers=remembers))
+        specialists._searched(setup, "S1.1", model(0, 2), seeds)
+    mixed, *others = told
+    half = setup.evolution.population // 2
+    assert others == [many, None]
+    assert mixed is not None
+    assert len(mixed) == half
+    ahead = mixed.graphs.parameters[: half // 2, 0, 33].tolist()
+    assert ahead == pytest.approx([(39 - i) / 100 for i in range(half // 2)])
+
+
+def test_a_fitness_that_is_good_enough_ends_the_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    champion = Population(nearly(0.3).graph, initial_strategy(1))
+    for best, wanted in ((0.5, 1), (0.4, 3)):
+        names = list[str]()
+
+        def evolved(
+            stage: Any, name: str, *about: Any, seeds: Any, names: list[str] = names,
+            found: Found = Found(champion, torch.zeros(2) > 0, best),  # noqa: B008
+        ) -> Found:  # fmt: skip
+            names.append(name)
+            return found
+
+        monkeypatch.setattr(specialists, "evolve_candidate", evolved)
+        setup = without_models(searches=3, budget=Budget(satisfied=0.5))
+        specialists.best_of_searches(stage_of(setup), "S1.1", model(0, 2), None)
+        assert len(names) == wanted
+
+
+def test_the_solved_ones_that_join_a_group_follow_from_the_generator(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told = list[list[int]]()
+
+    def recorded(setup: Any, name: str, models: Any, group: Scenarios, *about: Any) -> Any:
+        told.append(group.seed.tolist())
+        return Population(nearly(0.3).graph, initial_strategy(1)), torch.zeros(1) > 0
+
+    monkeypatch.setattr(team, "specialist", recorded)
+    state = state_of(random_scenarios("near", 30, seeded(0)))
+    for _ in range(2):
+        with_member(stage_of(without_models()), state, torch.arange(30) == 5)
+    assert len(told[0]) == 1 + OTHERS
+    assert told[0] == told[1]
+
+
 def large(seed: int) -> Population:
     """A random graph of more nodes than one can read."""
     graphs = random_graphs(seed, 60, ACTIONS, capacity=24, nodes=(20, 24))
@@ -205,7 +277,23 @@ def test_what_is_large_becomes_smaller_by_the_fitness_that_counts() -> None:
         before = large(seed)
         after = shrunk(before, ACTIONS, environment, 7, 1e-3, length)
         of_both = evaluator(ACTIONS, environment, keep, 7, fitness=length)
-        assert float(of_both(after.graphs).fitness) >= float(of_both(before.graphs).fitness) - 1e-3
+        old, new = of_both(before.graphs), of_both(after.graphs)
+        assert float(new.fitness) >= float(old.fitness) - 1e-3
+        assert (new.succeeded | ~old.succeeded).all()
+
+
+def test_what_solves_nothing_becomes_smaller_by_its_fitness_too() -> None:
+    def place(runs: Rollouts, probability: Tensor) -> Tensor:
+        return 2 + runs.percept[..., 0].to(probability)
+
+    environment, keep = model(3, 6), torch.zeros(6, dtype=torch.bool)
+    of_both = evaluator(ACTIONS, environment, keep, 7, fitness=place)
+    for seed in range(4):
+        before = large(seed)
+        after = shrunk(before, ACTIONS, environment, 7, 1e-3, place)
+        old, new = of_both(before.graphs), of_both(after.graphs)
+        assert not old.succeeded.all()
+        assert float(new.fitness) >= float(old.fitness) - 1e-3
 
 
 def test_episodes_of_an_evolution_are_no_longer_than_those_of_the_skill() -> None:
@@ -260,7 +348,9 @@ def test_where_rollouts_take_time_what_is_missed_and_what_is_not_come_first_in_t
         patch.setattr(specialists, "evolve_candidate", evolved)
         for number in (1, 2):
             after = with_member(setup, replace(state, number=number), which)
-    (first, count, seeds), (then, *_) = told
+        with_member(replace(setup, group=6), state, which)
+    (first, count, seeds), (then, *_), (few, *_) = told
+    assert len(few) == 6
     place = [scenarios.seed.tolist().index(seed) for seed in first]
     assert which[place].tolist() == [True] * 4 + [False] * 8
     assert sorted(then) == sorted(first)

@@ -6,7 +6,7 @@ from support import seeded
 from torch import Tensor
 
 from cgtorch.evolution.fitness import WORST
-from cgtorch.improvement.spread import FEWEST, MOST, Need, reliability
+from cgtorch.improvement.spread import ENOUGH, FEWEST, MEMORY, MOST, Need, reliability
 
 
 def scores(quality: float, noise: float, difficulty: float = 10.0, b: int = 16) -> Tensor:
@@ -55,6 +55,43 @@ def test_luck_asks_for_more_scenarios_up_to_a_limit_and_differences_for_fewer() 
     assert after(more, scores(1.0, 0.0), 60).scenarios == FEWEST
     between = scores(1.0, 4.0)  # a reliability of a half
     assert after(more, between, 60).scenarios == after(more, between, 30).scenarios
+
+
+def test_it_is_that_of_a_two_way_analysis_of_variance() -> None:
+    """1 - 1 / F, where F compares the means of individuals with what is left beside scenarios."""
+    table = torch.rand(ENOUGH, 3, generator=seeded(3)).tolist()
+    rows, columns = range(ENOUGH), range(3)
+    mean = sum(map(sum, table)) / (ENOUGH * 3)
+    own = [sum(row) / 3 for row in table]
+    hard = [sum(table[i][j] for i in rows) / ENOUGH for j in columns]
+    among = 3 * sum((x - mean) ** 2 for x in own) / (ENOUGH - 1)
+    rest = sum((table[i][j] - own[i] - hard[j] + mean) ** 2 for i in rows for j in columns)
+    wanted = 1 - rest / ((ENOUGH - 1) * 2) / among
+    assert reliability(torch.tensor(table)) == pytest.approx(wanted, rel=1e-5)
+
+
+def test_a_step_is_a_half_more_or_a_fifth_less_within_limits() -> None:
+    luck, sure = scores(0.0, 1.0, b=4), scores(1.0, 0.0, b=4)
+    for count, how, wanted in (
+        (10, {}, 15), (11, {}, 17), (10, {"most": 12}, 12), (10, {"most": 5}, 10),
+        (MOST - 1, {"most": 2 * MOST}, MOST),
+    ):  # fmt: skip
+        assert Need(count, 0.0).after(luck, **how).scenarios == wanted
+    for count, how, wanted in (
+        (10, {}, 8),
+        (11, {}, 8),
+        (10, {"fewest": 9}, 9),
+        (9, {"fewest": 10}, 9),
+    ):
+        assert Need(count, 1.0).after(sure, **how).scenarios == wanted
+
+
+def test_what_is_known_of_luck_is_remembered() -> None:
+    found = Need(10, 0.5).after(scores(1.0, 0.0)).reliability
+    assert found == pytest.approx(MEMORY * 0.5 + 1 - MEMORY)
+    opposite = torch.eye(8).repeat(1, 2) + 1e-3 * torch.rand(8, 16, generator=seeded(0))
+    assert reliability(opposite) < -1
+    assert Need(10, 0.5).after(opposite).reliability == pytest.approx(MEMORY * 0.5 - (1 - MEMORY))
 
 
 def test_a_single_generation_does_not_change_it() -> None:

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from members import nearly
 from reaching import world_of
 from support import seeded
-from watched import stage_of, state_of, without_models
+from watched import recruited, stage_of, state_of, without_models
 
+from cgtorch.graphs import BranchingNN
 from cgtorch.improvement import team
 from cgtorch.improvement.compose import branches_of, branching_action, compose
 from cgtorch.improvement.setup import Setup
@@ -158,7 +159,8 @@ def test_replays_are_broken_off_where_a_trial_would_be(
 def test_state_grows_with_what_is_met() -> None:
     scenarios = random_scenarios("near", 3, seeded(0))
     state = state_of(scenarios, (nearly(0.1), nearly(0.2)))
-    state = replace(state, trust=torch.zeros(3, 2))
+    ones = torch.ones(3, 2, dtype=torch.long)
+    state = replace(state, trust=torch.zeros(3, 2), outcomes=ones, shown=ones[:, 0])
     more = random_scenarios("near", 2, seeded(1))
     percepts = first_percepts(world_of(more))
     for kept in (False, True):
@@ -168,8 +170,20 @@ def test_state_grows_with_what_is_met() -> None:
             assert torch.equal(after.percepts[3:], percepts)
             assert after.keep[3:].tolist() == after.tried[3:].tolist() == [kept] * 2
             assert after.targets[3:].tolist() == [targets] * 2
-            assert after.shown.tolist() == [0] * 5
+            assert after.known[3:].tolist() == [kept] * 2
+            assert after.shown.tolist() == [1] * 3 + [0] * 2
+            assert after.outcomes.tolist() == [[1, 1]] * 3 + [[0, 0]] * 2
             assert torch.equal(after.trust, torch.tensor([[0.0, 0.0]] * 3 + [[1.0, 1.0]] * 2))
+
+
+def test_a_new_member_is_trusted_everywhere_and_nothing_is_known_of_it() -> None:
+    members = nearly(0.1), nearly(0.2)
+    ones = torch.ones(3, 1, dtype=torch.long)
+    state = state_of(random_scenarios("near", 3, seeded(0)), members[:1])
+    after = replace(state, trust=torch.zeros(3, 1), outcomes=ones).joined_by(members[1])
+    assert after.members == members
+    assert after.trust.tolist() == [[0.0, 1.0]] * 3
+    assert after.outcomes.tolist() == [[1, 0]] * 3
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -201,6 +215,112 @@ def test_an_extended_skill_goes_its_own_ways_where_no_new_member_is_sent_to(seed
     assert branches_of(found.skill)[0] == ["m1", "m2", "m0"]  # type: ignore[index]
 
 
+def test_what_the_world_has_shown_corrects_the_shares_of_replays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(team, "shares", lambda setup, state, skills: (
+        torch.full((len(state.percepts), len(skills)), 0.5)
+    ))  # fmt: skip
+    scenarios, generator = random_scenarios("perimeter", 12, seeded(4)), seeded(5)
+    members = tuple(replace(nearly(i / 10), name=f"m{i}") for i in range(3))
+    keep = torch.arange(12) < 4
+    trust = torch.rand(12, 3, generator=generator)
+    state = replace(state_of(scenarios, members, keep), trust=trust)
+    state = replace(state, shown=torch.where(torch.arange(12) == 11, -1, 0))
+    setup = stage_of(without_models())
+    own, last = 0.5 * trust, torch.where(state.keep, 1.0, 0.0)
+    assert torch.equal(team._rates(setup, state), torch.cat([own, last[:, None]], 1))
+    last = torch.where(state.shown < 0, 0.0, 0.5)
+    fresh = replace(state, current=Candidate(members[1]), repeats=False)
+    assert torch.equal(team._rates(setup, fresh), torch.cat([own, last[:, None]], 1))
+    # In a world that repeats itself, W is solved, and who acts is as good as its member.
+    last = torch.where(keep, 1.0, last)
+    wanted = torch.stack([own[:, 0], last, own[:, 2], last], 1)
+    again = replace(fresh, repeats=True)
+    assert torch.equal(team._rates(setup, again), wanted)
+    every = (torch.randn(1, BRANCH.num_parameters, generator=generator) for _ in range(99))
+    skill = replace(nearly(0.7), actions=ACTIONS)
+    ways = ((each, each.sent_to(state.percepts)) for each in (
+        Candidate(skill, (2, 0), branches) for branches in every
+    ))  # fmt: skip
+    both, sent = next(way for way in ways if set(way[1][keep].tolist()) == {0, 2})
+    own[torch.arange(4), sent[:4]] = 1.0
+    found = team._rates(setup, replace(again, current=both))
+    assert torch.equal(found, torch.cat([own, last[:, None]], 1))
+
+
+def test_of_two_skills_what_the_world_has_shown_counts_beside_replays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    member, current = nearly(0.2), Candidate(nearly(0.3))
+    monkeypatch.setattr(team, "_rates", lambda setup, state: torch.tensor([[1.0, 0.0]] * 5))
+    scenarios = random_scenarios("near", 5, seeded(0))
+    for repeats, shown, new, taken in (
+        (False, [0] * 5, 0.5, False),
+        (False, [0, -1, 0, 0, 0], 0.5, True),
+        (False, [1] * 5, 0.8, False),
+        (True, [0] * 5, 0.5, False),
+        (True, [0, -1, 0, 0, 0], 0.05, False),
+        (True, [-1, -1, -1, -1, 0], 0.45, True),
+        (True, [1] * 5, 0.8, True),
+    ):
+        monkeypatch.setattr(team, "shares", lambda *_, new=new: torch.tensor([[0.5, new]] * 5))
+        how = {"repeats": repeats, "shown": torch.tensor(shown), "current": current}
+        found, _ = team._candidate(
+            stage_of(without_models()), state_of(scenarios, (member,), **how)
+        )
+        assert (found is not current) is taken
+
+
+def test_a_skill_that_is_reliable_everywhere_stays_and_nobody_is_evolved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    left, current = recruited(monkeypatch, nearly(0.1)), Candidate(nearly(0.3))
+    rates = torch.tensor([[1.0, RELIABLE]] * 5)
+    monkeypatch.setattr(team, "_rates", lambda setup, state: rates)
+    scenarios = random_scenarios("near", 5, seeded(0))
+    state = state_of(scenarios, (nearly(0.2),), current=current)
+    assert team._candidate(stage_of(without_models()), state)[0] is current
+    rates = torch.full((5, 2), RELIABLE)
+    assert team._candidate(stage_of(without_models()), state)[0] is current
+    assert len(left) == 1
+
+
+def test_several_candidates_are_thought_of_where_nothing_repeats_itself() -> None:
+    scenarios = random_scenarios("near", 5, seeded(0))
+    state = state_of(scenarios, (nearly(0.3),), repeats=False, number=4)
+    with pytest.MonkeyPatch.context() as patch:
+        recruited(patch)
+        _, after = team.proposed(stage_of(without_models(replays=1)), state)
+    assert after.number == 4 + team.THOUGHTS
+
+
+@pytest.mark.parametrize("remembers", [False, True])
+def test_gates_are_trained_most_where_something_was_tried(
+    remembers: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = list[torch.Tensor]()
+
+    def trained(
+        branch: BranchingNN, percepts: torch.Tensor, solves: torch.Tensor, *more: torch.Tensor
+    ) -> torch.Tensor:
+        told.append(more[0])
+        return torch.zeros(solves.shape[1] - 1, branch.num_parameters)
+
+    monkeypatch.setattr(team, "train_gating", trained)
+    members = tuple(replace(nearly(i / 10), name=f"m{i}") for i in range(2))
+    state = state_of(random_scenarios("near", 4, seeded(0)), members, torch.arange(4) == 0)
+    outcomes = torch.tensor([[0, 0], [0, 0], [0, 0], [1, -1]])
+    state = replace(state, targets=torch.arange(4) == 1, outcomes=outcomes)
+    setup = stage_of(without_models(remembers=remembers))
+    found = composed(setup, state, RELIABLE * torch.eye(2).repeat(2, 1))
+    assert told[0].tolist() == [3, 3, 1, team.DECIDES if remembers else 1]
+    assert found.branches is not None
+    about = "S1-0", list(members), found.branches, ACTIONS, setup.max_transitions
+    edges = [compose(*about, corrected=each).graph.edges for each in (not remembers, remembers)]
+    assert [torch.equal(found.skill.graph.edges, each) for each in edges] == [True, False]
+
+
 def test_only_a_skill_with_known_branches_and_something_to_gain_is_extended() -> None:
     scenarios = random_scenarios("perimeter", 10, seeded(3))
     members = nearly(0.25), replace(nearly(0.4), name="other")
@@ -213,6 +333,7 @@ def test_only_a_skill_with_known_branches_and_something_to_gain_is_extended() ->
     found = extended(setup, replace(state, current=alone), rates)
     assert found is not None
     assert found.chosen == (1, 0)
+    assert extended(setup, replace(state, current=alone), RELIABLE * rates) is not None
     solved = replace(state, current=alone, keep=torch.ones(10).bool())
     assert extended(setup, solved, rates) is None
     assert extended(replace(setup, team=1), replace(state, current=alone), rates) is None

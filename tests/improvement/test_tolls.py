@@ -44,7 +44,14 @@ def test_a_toll_is_what_a_transition_is_worth_before_tuning() -> None:
     after = search._tuned(state, (moved,), seeded(5))
     assert after.lengthy
     assert [each.toll for each in after.rivals] == [0.0, pytest.approx(1.05)]
-    for sign, worth in ((1.0, 1.05), (-1.0, 0.0), (math.inf, 0.0), (-math.inf, 0.0), (0.0, 0.0)):
+    for sign, worth in (
+        (1.0, 1.05),
+        (-1.0, 0.0),
+        (math.inf, 0.0),
+        (-math.inf, 0.0),
+        (0.0, 0.0),
+        (0.5, 0.525),
+    ):
         search.fresh.sign = sign  # type: ignore[attr-defined]
         played = search.fresh.episodes
         assert search._worth_of_transitions(one.graph, seeded(6)) == pytest.approx(worth)
@@ -79,6 +86,8 @@ def test_the_same_graph_is_tuned_under_a_toll_where_lengths_count(
         assert len(after_update(later, rival)) == rivals
     already = tuned(staking(0.1), 0.75)
     assert [each.toll for each in after_update(one, already)] == [0.75]
+    assert [each.toll for each in after_update(one, already, rival)] == [0.75, 0.0]
+    assert [each.toll for each in after_update(one)] == [0.5]
     # One with a toll gets a rival that begins anew where it stalls.
     has = tuned(staking(0.5), 0.75)
     assert len(after_update(has, rival)) == 1

@@ -1,5 +1,6 @@
 """What a trial of a skill is, what it costs, and what a journal says of it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,17 @@ def test_a_journal_recalls_trials_and_looks_and_what_they_cost(tmp_path: Path) -
         assert (one.phase, one.asked, one.succeeded) == (two.phase, two.asked, two.succeeded)
         assert two.recalled
         assert not one.recalled
+
+
+def test_looks_are_paid_for_and_an_episode_of_a_robot_knows_its_stage(tmp_path: Path) -> None:
+    setup = without_models(purse=Purse())
+    looked(stage_of(setup), random_scenarios("near", 4, seeded(0)))
+    assert setup.purse.spent == {"looks": Asked(looks=4)}
+    domain = cart(tmp_path / "log", CartDriver(1))
+    robot: Any = replace(setup, world_of=domain.world)
+    attempt(stage_of(robot), pusher(domain, 0.2), domain.draw("near", 1, seeded(0)), "practice")
+    (row,) = lines(tmp_path / "log", "episode")
+    assert (row["phase"], row["stage"]) == ("practice", "S1")
 
 
 @pytest.mark.parametrize("bad", [None, torch.zeros(4), torch.zeros(3, SIZE), torch.ones(4, 7) > 0])

@@ -16,6 +16,7 @@ from cgtorch.graphs import SubSkill
 from cgtorch.ground.environment import Lanes
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios, TabletopWorld
+from cgtorch.training import causes
 from cgtorch.training.advice import about_search, unskilled
 from cgtorch.training.evaluate import Score, evaluate_skill, try_on
 from cgtorch.training.failures import Background, failures_of
@@ -140,6 +141,23 @@ def test_bad_luck_is_what_most_other_noise_would_have_spared(bad: int, cause: st
     rows = {n for k in found.kinds for c in k.causes if c.name == cause for n in c.scenarios}
     assert set(lucky.nonzero()[:, 0].tolist()) <= rows
     assert ("They are bad luck" in str(found.advice)) == (cause == "noise")
+
+
+def test_other_noise_is_never_that_of_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenarios, met = TABLE.draw("near", 5, seeded(0)), list[Scenarios]()
+
+    def recorded(skill: Any, domain: Any, some: Scenarios) -> Score:
+        met.append(some)
+        good = torch.arange(len(some)) % 5 < torch.arange(len(some)) // 5
+        return replace(try_on(skill, domain, some), succeeded=good)
+
+    monkeypatch.setattr(causes, "try_on", recorded)
+    share = causes._under_other_noise(AHEAD, TABLE, scenarios)
+    assert causes.NOISES == 4
+    assert share.tolist() == [0.75, 0.5, 0.25, 0.0, 0.0]
+    (every,) = met
+    assert torch.equal(every.object, scenarios.object.repeat(4, 1))
+    assert len({*every.seed.tolist(), *scenarios.seed.tolist()}) == 25
 
 
 def test_what_nothing_can_solve_has_no_other_cause() -> None:

@@ -41,6 +41,12 @@ def test_nothing_rings_after_the_context_or_without_a_limit() -> None:
     assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
 
 
+def test_the_alarm_rings_a_while_after_the_end_of_the_time() -> None:
+    with deadline(Purse(until=time.monotonic() + 100.0)):
+        left = signal.getitimer(signal.ITIMER_REAL)[0]
+    assert 90 + GRACE < left <= 100 + GRACE
+
+
 def test_other_threads_have_no_alarm() -> None:
     found: list[float] = []
 

@@ -7,9 +7,9 @@ import torch
 from members import nearly
 from reaching import TABLE, TABLE_MODELS, small_knowledge
 from support import random_skill, seeded, world
-from walking import FewPaths, Walking, Walks, walking_actions
+from walking import FewPaths, Walking, Walks, chain, walking_actions
 
-from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, SubSkill
+from cgtorch.graphs import ActionSet, BranchingNN, ContinuousNN, Skill, SubSkill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.trial import first_percepts, try_skill
@@ -17,7 +17,13 @@ from cgtorch.native.rank_processes import in_ranks
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
-from cgtorch.training.evaluate import Score, evaluate_skill, robust_success
+from cgtorch.training.evaluate import (
+    Score,
+    evaluate_skill,
+    robust_success,
+    robust_successes,
+    try_on,
+)
 
 
 def score(successes: int, tried: int) -> Score:
@@ -46,6 +52,20 @@ def test_returns_of_which_one_is_missing_have_no_mean(last: float, mean: float |
     assert score(3, 4).error is None
     assert replace(score(0, 0), returns=returns[:0]).mean_return is None
     assert score(3, 4).mean_return is None
+
+
+def test_with_rewards_a_scenario_is_solved_if_its_return_reaches_the_target() -> None:
+    domain, actions = Walking(), walking_actions()
+    skill = Skill("walk", chain(actions, "Aim", "Step", speed=10.0), actions, 99)
+    walks = domain.draw("any", 20, seeded(0))
+    returns = try_skill(skill, domain.world(walks)).returns
+    assert returns is not None
+    domain.target_return = float(returns.median())
+    found = try_on(skill, domain, walks)
+    assert found.returns is not None
+    assert torch.equal(found.returns, returns)
+    assert torch.equal(found.succeeded, returns >= domain.target_return)
+    assert 0 < found.successes < 20
 
 
 def test_scenarios_come_from_the_seed() -> None:
@@ -136,6 +156,17 @@ def test_a_promise_holds_under_every_error_drawn() -> None:
     ]
     assert found.tolist() == one_by_one
     assert 0 < sum(one_by_one) < 20
+
+
+def test_where_models_predict_robust_success_there_is_a_score_of_its_own() -> None:
+    skill, knowledge, every = nearly(0.3), small_knowledge(), score(7, 12)
+    found = robust_successes(every, skill, knowledge, TABLE_MODELS, 3)
+    rows = robust_success(TABLE_MODELS, skill, knowledge, every.percepts, seeded(3))
+    assert found is not None
+    assert 0 < found.tried == int(rows.sum()) < 12
+    assert found.succeeded.tolist() == every.succeeded[rows].tolist()
+    other = replace(every, percepts=every.percepts[:, 1:])
+    assert robust_successes(other, skill, knowledge, TABLE_MODELS, 3) is None
 
 
 class FewAtOnce(Walking):

@@ -11,7 +11,14 @@ from torch import Tensor
 
 from cgtorch.evolution import Generation, Population
 from cgtorch.evolution.population import random_population
-from cgtorch.improvement.events import GenerationDone, MeanTested, Practised, SkillAccepted
+from cgtorch.improvement.checkpoint import Found
+from cgtorch.improvement.events import (
+    EvolutionRecalled,
+    GenerationDone,
+    MeanTested,
+    Practised,
+    SkillAccepted,
+)
 from cgtorch.improvement.setup import Progress
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
@@ -96,6 +103,17 @@ def test_generations_add_up_and_the_first_of_the_fittest_stays(best: list[float]
     assert (tally.generations, tally.transitions, tally.searching) == (4, 46, 1.0)
     assert tally.champion is champions[1]
     assert tally.best == best[1]
+
+
+def test_what_is_recalled_counts_as_if_it_had_been_searched_for() -> None:
+    champion = random_population(1, paper_actions(), 4, (2, 4), seeded(0))
+    nothing = torch.zeros(0, dtype=torch.bool)
+    found = Found(champion, nothing, 0.5, 2, generations=5, transitions=30, seconds=1.5)
+    tally = Tally()
+    tally.count(done(0.1, 10, champion))
+    tally.count(EvolutionRecalled("S0", "S0.1", found))
+    assert (tally.generations, tally.transitions, tally.searching) == (6, 40, 1.75)
+    assert (tally.champion, tally.best) == (champion, 0.5)
 
 
 def test_the_last_skill_that_was_tried_is_known_with_what_it_came_to() -> None:
