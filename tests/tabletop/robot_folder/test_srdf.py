@@ -77,6 +77,12 @@ def test_states_are_home_and_open_fingers_within_limits(tmp_path):
                  state("open", "hand", hand_a=0.25, hand_b=7, arm0=0.1))  # fmt: skip
     assert found.home == {f"{name}_joint": 0.5 for name in NAMES}
     assert found.opened == {"hand_a_joint": 0.25}
+    ready = state("ready", "arm", **home)
+    assert read(tmp_path, arm, ready).home == found.home
+    assert read(tmp_path, arm, state("opened", "hand", hand_a=0.25)).opened == found.opened
+    first = state("home", "arm", **dict.fromkeys(NAMES, 0.2))
+    assert set(read(tmp_path, arm, ready, first).home.values()) == {0.2}
+    assert f"home is that of SRDF '{tmp_path / 'robot.srdf'}'" in found.notes
     for wrong in (3, "nan", "x"):  # beyond a limit, or no number: home is incomplete
         assert read(tmp_path, arm, state("home", "arm", **{**home, "arm3": wrong})).home == {}
 
