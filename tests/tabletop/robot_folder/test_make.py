@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import mesh_robot
 import numpy as np
@@ -154,12 +155,17 @@ def test_a_picture_shows_arms_footprint_and_tools_from_three_sides(monkeypatch):
         assert axes.get_aspect() == 1
         colours = {to_hex(patch.get_facecolor()) for patch in axes.patches}
         assert colours == {REST, BODY, *ARMS[:2]}
-        assert len(axes.lines) == 1 + 3 * len(robot.arms)
+        assert {patch.get_alpha() for patch in axes.patches} == {0.35}
+        assert {patch.get_linewidth() for patch in axes.patches} == {1}
+        assert [line.get_linewidth() for line in axes.lines] == [1, *[2] * 3 * len(robot.arms)]
     x0, x1, y0, y1 = robot.description.footprint
     ring = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]
     assert above.lines[0].get_xydata().tolist() == ring
     assert set(right.lines[0].get_ydata().tolist()) == {0.0}
     model = robot.urdf.model
+    after = model.cfg.copy()
+    model.update_cfg(robot.description.held)
+    np.testing.assert_array_equal(model.cfg, after)
     model.update_cfg(_at_home(robot))
     pose = model.get_transform(robot.description.arms[0].tool_frame, robot.description.base_frame)
     model.update_cfg(robot.description.held)
@@ -168,6 +174,24 @@ def test_a_picture_shows_arms_footprint_and_tools_from_three_sides(monkeypatch):
         assert line.get_color() == colour
         ends = pose[:2, 3], pose[:2, 3] + AXIS * pose[:2, axis]
         np.testing.assert_allclose(line.get_xydata(), ends, atol=1e-9)
+
+
+def test_corners_are_those_of_meshes_of_links_that_collide_as_nothing_else():
+    mesh, box = (SimpleNamespace(geometry=SimpleNamespace(mesh=m)) for m in ("a.stl", None))
+    links = {"one": [mesh, mesh], "two": [mesh, box]}
+    urdf = SimpleNamespace(link=lambda name: SimpleNamespace(collisions=links[name]))
+    fit = SimpleNamespace(corners=np.array([[1.0, 2.0, 3.0]]))
+    turned = np.array([[0.0, -1, 0, 10], [1, 0, 0, 20], [0, 0, 1, 30], [0, 0, 0, 1]])
+
+    def found(link, kind="collision", fitted=fit):
+        return SimpleNamespace(link=link, kind=kind, fit=fitted, pose=turned)
+
+    meshes = (
+        found("one"), found("one"), found("two"), found("one", "visual"), found("one", fitted=None)
+    )  # fmt: skip
+    corners = make._corners(urdf, meshes)
+    assert corners.keys() == {"one"}
+    assert [each.tolist() for each in corners["one"]] == [[[8, 21, 33]]] * 2
 
 
 def test_what_an_srdf_says_yields_to_wishes():
