@@ -50,7 +50,7 @@ def _height(structure: Structure, chains: list[list[Any]], notes: list[str]) -> 
         ground = float(structure.pose(known[0])[2, 3])
     else:
         every = structure.hanging(structure.base)
-        moved = {link for chain in chains if chain for link in structure.hanging(chain[0].child)}
+        moved = {link for chain in chains for link in structure.hanging(chain[0].child)}
         found = [structure.points(link) for link in every if link not in moved]
         found = found if any(map(len, found)) else [structure.points(link) for link in every]
         ground = float(np.concatenate([np.empty((0, 3)), *found])[:, 2].min(initial=math.inf))

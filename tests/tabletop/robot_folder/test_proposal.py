@@ -12,6 +12,7 @@ from cgtorch.tabletop.kinematics.fitted import without_meshes
 from cgtorch.tabletop.robot_folder.proposal import (
     Wishes,
     _body,
+    _chains,
     _footprint,
     _names,
     _side,
@@ -101,14 +102,14 @@ def test_the_tool_frame_lies_between_the_finger_tips(tmp_path):
 WISHES = Wishes(
     name="mine", base_frame="base_link", footprint=(-1.0, 1.0, -0.5, 0.5), torso_joint="",
     arms=(Arm("one", "torso_link", "hand_link"),), body=("base_link",), held={"torso_joint": 0.1},
-    home={"pan_joint": 0.5},
+    home={"pan_joint": 0.5}, excludes=(("base_link", "hand_link"),),
 )  # fmt: skip
 
 
 def test_every_wish_comes_first(tmp_path):
     plain, _ = without_meshes(load_urdf(mesh_robot.write_package(tmp_path)))
     words = propose(plain, WISHES).words
-    for name in ("name", "base_frame", "footprint", "arms", "body", "home"):
+    for name in ("name", "base_frame", "footprint", "arms", "body", "home", "excludes"):
         assert getattr(words, name) == getattr(WISHES, name)
     assert (words.torso_joint, words.torso_position) == (None, None)
     assert words.gripper_joints["torso_joint"] == 0.1
@@ -177,7 +178,7 @@ def test_a_torso_holds_its_arms_a_metre_high_and_keeps_from_its_ends(tmp_path, a
     arm = chain("arm", 2, "lift", first="0 0 0.1") + chain("high", 2, "lift", first="0 0 0.5")
     structure, first = parts_of(tmp_path, link("base"), lift, arm)
     chains = [first("high0"), first("arm0")]
-    found = _torso_position(structure, structure.urdf.joint("lift_joint"), chains, {})
+    found = _torso_position(structure, structure.urdf.joint("lift_joint"), chains)
     assert found == position
 
 
@@ -203,3 +204,41 @@ def test_the_body_is_what_is_high_enough_for_an_arm(tmp_path):
     )  # fmt: skip
     structure, _ = parts_of(tmp_path, *parts)
     assert _body(structure, {"arm"}) == ("mast",)
+
+
+def test_what_moves_all_hands_or_lifts_them_is_the_torso(tmp_path):
+    lift = link("lift") + joint("lift", "base", "0 0 1", "0 0 1", "prismatic")
+    arms = [chain(name, 6, "lift", first=f"0 {y} 0.1") for name, y in (("p", 0.3), ("q", -0.3))]
+    structure, _ = parts_of(tmp_path, link("base"), lift, *arms)
+
+    def found(*hands):
+        shared, own = _chains(structure, list(hands))
+        return [each.name for each in shared], [[each.name for each in one] for one in own]
+
+    one, other = ([f"{name}{i}_joint" for i in range(6)] for name in "pq")
+    assert found("p5", "q5") == (["lift_joint"], [one, other])
+    assert found("p5") == (["lift_joint"], [one])
+    assert found("p3") == ([], [["lift_joint", *one[:4]]])  # which needs the lift
+    assert found("p5", "p3") == (["lift_joint", *one[:4]], [one[4:], []])
+
+
+@pytest.mark.parametrize("other", [("base", "p3"), ("base", "p1"), ("base", "base")])
+def test_an_arm_without_joints_of_its_own_is_named(tmp_path, other):
+    text = "".join((link("base", box("0.3 0.3 1", "0 0 0.5")), chain("p", 4, "base", first=FRONT)))
+    wish = Wishes(arms=(Arm("whole", "base", "p3"), Arm("part", *other)))
+    with pytest.raises(RobotError, match=rf"no joints of its own between 'base' and '{other[1]}'"):
+        proposed(f'<robot name="x">{text}</robot>', tmp_path, wish)
+    alone = Wishes(arms=(Arm("whole", "base", "base"),))
+    with pytest.raises(RobotError, match="arm 'whole' has no joints of its own"):
+        proposed(f'<robot name="x">{text}</robot>', tmp_path, alone)
+
+
+def test_a_tool_frame_has_a_name_of_its_own_and_one_arm_is_no_others(tmp_path):
+    taken = link("arm_tool_frame", "") + joint(
+        "arm_tool_frame", "base", "0 0 2", kind="fixed", more=""
+    )
+    base = link("base", box("0.3 0.3 1", "0 0 0.5"))
+    text = "".join((base, taken, chain("arm", 6, "base", first="0.2 0 0.5")))
+    found = proposed(f'<robot name="x">{text}</robot>', tmp_path)
+    assert found.words.arms == (Arm("arm", "base", "arm_tool_frame_added"),)
+    assert not any(note.startswith("no arms") for note in found.notes)
