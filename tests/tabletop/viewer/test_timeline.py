@@ -128,6 +128,8 @@ def test_the_arm_really_reaches_and_lifts_the_object(number: int) -> None:
     assert one.execution.end == "success"
     moved = (one.object[:, 2] > one.object[0, 2] + 1e-4).nonzero()[:, 0]
     up = torch.tensor([0.0, 0.0, GRASP_HEIGHT])
+    first = one.start_of(len(one.execution.steps) - 1)
+    assert torch.equal(one.joints[first], one.joints[0])  # at home, where the arm's way begins
     for frame in (int(moved[0]) - 1, int(moved[len(moved) // 2]), len(one) - 1):
         away = [float((tool_at(one, frame, i) - one.object[frame] - up).norm()) for i in (0, 1)]
         assert min(away) < 0.01, (frame, away)
