@@ -1,5 +1,7 @@
 """What is proposed of a robot: the built-in ones as they are described, and those made for it."""
 
+from types import SimpleNamespace
+
 import mesh_robot
 import numpy as np
 import pytest
@@ -242,3 +244,7 @@ def test_a_tool_frame_has_a_name_of_its_own_and_one_arm_is_no_others(tmp_path):
     found = proposed(f'<robot name="x">{text}</robot>', tmp_path)
     assert found.words.arms == (Arm("arm", "base", "arm_tool_frame_added"),)
     assert not any(note.startswith("no arms") for note in found.notes)
+
+
+def test_a_torso_that_turns_without_end_stays():
+    assert _torso_position(None, SimpleNamespace(type="continuous"), []) == 0.0
