@@ -281,3 +281,8 @@ def test_lines_are_told(tmp_path):
         ('<robot>\n<link name="a"/>\n<link name="a"/></robot>', "times, in lines 2, 3: keep one"),
     ):
         assert message in fails(load_urdf, robot(tmp_path, text))
+
+
+def test_what_says_nothing_is_left_out(tmp_path):
+    text = '<robot name="x">\n  <!-- a robot --><?made by="hand"?>\n  <link name="a"/>\n</robot>'
+    assert load_urdf(robot(tmp_path, text)).xml == b'<robot name="x"><link name="a"/></robot>'
