@@ -134,6 +134,18 @@ def test_a_motion_may_be_as_long_as_the_longest_and_has_to_be_finite() -> None:
     assert further.tolist() == [True, True, True, False, False]
 
 
+def test_torch_and_compiled_code_agree() -> None:
+    draw = torch.rand(3000, 2, 8, generator=torch.Generator().manual_seed(0)).double()
+    things = torch.cat([4 * draw[..., :2] - 2, 7 * draw[..., 2:3] - 3.5, draw[..., 3:5]], 2)
+    things[::7, 1] = 0.0  # which is absent
+    motion = 2 * draw[:, 0, 5:] - 1
+    motion[:, 2] *= 6.5
+    motion[::3, 2] = 0.0
+    found = motion_possible_in_torch(motion, things, BODY)
+    assert torch.equal(found, motion_possible(motion, things, BODY))
+    assert 500 < int(found.sum()) < 2500
+
+
 def test_compiled_code_answers_where_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = list[str]()
 
