@@ -64,8 +64,8 @@ def read_data(
     """
     every = [paths] if isinstance(paths, str | Path) else [*paths]
     d, u = len(percept), len(control)
-    moved = torch.zeros(0, d), torch.zeros(0, u), torch.zeros(0, d)
-    found = Dataset(*moved, torch.zeros(0, d), torch.zeros(0, dtype=torch.bool))
+    moved = torch.empty(0, d), torch.empty(0, u), torch.empty(0, d)
+    found = Dataset(*moved, torch.empty(0, d), torch.empty(0, dtype=torch.bool))
     for path in map(Path, every):
         if path.is_dir():
             found = found.extended(read_minari(path, percept, control))

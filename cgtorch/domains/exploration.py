@@ -155,7 +155,7 @@ class _Robots:
                 tested.append((after.percept[rows], chance > 0.5))
                 after = after.with_rows(rows, some)
             self._lanes, self._left = after, self._left - 1
-        nothing = after.percept[:0], torch.zeros(0, dtype=torch.bool)
+        nothing = after.percept[:0], torch.empty(0, dtype=torch.bool)
         p, u, q = (torch.cat(part) for part in zip(*moved, strict=True))
         seen, labels = (torch.cat(part) for part in zip(nothing, *tested, strict=True))
         return Dataset(p, u, q, seen, labels)

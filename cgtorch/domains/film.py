@@ -18,7 +18,8 @@ from cgtorch.simulation import traced
 WIDTH = 480  # px
 END = 1200  # ms that the last picture is shown
 MOST = 100  # pictures of a film; at twice as many, every second one is left out
-QUALITY = 60  # of a WebP, of 100
+WEBP = {"quality": 60, "method": 4}  # of 100, and how hard to try to make it small, up to 6
+COLOURS = 96  # of a GIF
 
 Picture: TypeAlias = NDArray[np.uint8]
 """Red, green and blue of pixels, (H, W, 3)."""
@@ -128,10 +129,9 @@ def animated(films: Sequence[Film], kind: str) -> bytes:
     image = pillow()
     pictures = [image.fromarray(picture) for film in films for picture in film.frames]
     lasts = [time for f in films for time in (*[f.lasts] * (len(f.frames) - 1), END)]
-    how: dict[str, Any] = {"quality": QUALITY, "method": 4}
+    how = WEBP if kind == "webp" else {}
     if kind == "gif":
-        how = {"optimize": True}
-        pictures = [p.quantize(96, dither=image.Dither.NONE) for p in pictures]
+        pictures = [p.quantize(COLOURS) for p in pictures]
     out, (first, *more) = io.BytesIO(), pictures
     first.save(out, kind.upper(), save_all=True, append_images=more, duration=lasts, loop=0, **how)
     return out.getvalue()

@@ -24,6 +24,7 @@ MOST_ROWS = 300
 """The maximum number of rows on which the hyperparameters are fitted."""
 STEPS, AGAIN = 60, 20
 """Steps of L-BFGS for the first fit, and for one that continues from an earlier fit."""
+HISTORY = 20  # steps that L-BFGS remembers
 IMPOSSIBLE = 1e10
 """The loss where the covariances of the rows cannot be factorised."""
 LEAST_NOISE = 1e-3
@@ -80,7 +81,7 @@ def fitted_parameters(free: Tensor, x: Tensor, y: Tensor, steps: int) -> Tensor:
     free = free.clone().requires_grad_()
     guess, eye = first_guess(x.shape[1]), torch.eye(len(x), dtype=x.dtype)
     best = torch.optim.LBFGS(
-        [free], lr=1, max_iter=steps, history_size=20, line_search_fn="strong_wolfe"
+        [free], max_iter=steps, history_size=HISTORY, line_search_fn="strong_wolfe"
     )
 
     def loss() -> Tensor:

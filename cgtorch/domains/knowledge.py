@@ -216,8 +216,8 @@ def learn_more(knowledge: Knowledge, experience: Dataset, generator: Generator) 
 
 def _learn(
     model: Model, rows: Sequence[tuple[Tensor, ...]], most: int
-) -> tuple[Model, Tensor, Acceptance]:
-    """The model to use, the old rows (m,) to keep, and the acceptance by held-out rows."""
+) -> tuple[Model, Tensor | slice, Acceptance]:
+    """The model to use, the old rows to keep, and the acceptance by held-out rows."""
     old, new, aside = rows
     kept, start = model.coreset(*old, limit=most)
     after = start.updated(*(torch.cat([a[kept], b]) for a, b in zip(old, new, strict=True)))
@@ -225,7 +225,7 @@ def _learn(
         acceptance = accept_model(model.loss(*aside), after.loss(*aside))
     if acceptance.accepted:
         return after, kept, acceptance
-    return model, torch.arange(len(old[0])), acceptance
+    return model, slice(None), acceptance
 
 
 def sampled(dataset: Dataset, surprise: Tensor, most: int, generator: Generator) -> Dataset:

@@ -35,7 +35,7 @@ class LearnedModel(FittedModule, ABC):
     def __init__(self, machine: SVC | SVR) -> None:
         super().__init__()
         for name in ("mean", "scale"):
-            self.register_buffer(name, torch.zeros(0, dtype=torch.float64))
+            self.register_buffer(name, torch.empty(0, dtype=torch.float64))
         self.machine = machine
 
     @abstractmethod

@@ -85,7 +85,7 @@ class LiveWorld:
         return replace(lanes, state=self._state()), torch.tensor([float(done)])
 
     def _state(self) -> Tensor:
-        return torch.tensor([[float(self.robot.actions % 2**24)]])
+        return torch.tensor([[float(self.robot.actions)]])
 
     def _check(self, lanes: Lanes) -> None:
         if len(lanes) != 1 or not torch.equal(lanes.state, self._state()):

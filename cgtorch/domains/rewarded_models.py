@@ -195,7 +195,7 @@ class Known:
 
     def tensors(self) -> dict[str, Tensor]:
         """The tensors that `RewardedModels.recalled` reads."""
-        nothing = torch.zeros(0, dtype=torch.float64)
+        nothing = torch.empty(0, dtype=torch.float64)
         gamma, reward = (nothing if free is None else free for free in self.begun)
         columns = dict(zip(STEPS, vars(self.steps).values(), strict=True))
         about = {"starts": self.starts, "gamma": gamma, "reward": reward}

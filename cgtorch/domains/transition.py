@@ -73,7 +73,7 @@ class TransitionModel(LearnedModel):
 
     def __init__(self) -> None:
         super().__init__(SVR())
-        self.register_buffer("most", torch.zeros(0, dtype=torch.float64))
+        self.register_buffer("most", torch.empty(0, dtype=torch.float64))
         self.register_buffer("reach", torch.ones((), dtype=torch.float64))
 
     @abstractmethod

@@ -67,7 +67,7 @@ class World(ABC):
     @property
     def percept_size(self) -> int:
         """D."""
-        return math.prod(self.start(torch.zeros(0, dtype=torch.long))[1].shape[1:])
+        return math.prod(self.start(torch.empty(0, dtype=torch.long))[1].shape[1:])
 
     @property
     @abstractmethod

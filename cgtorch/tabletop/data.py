@@ -24,6 +24,7 @@ WIDE_ARENA = 3.5  # the same around other tables, from which robots start furthe
 NEAR = (0.3, 1.3)  # m between base and object where a grasp may be possible or not
 WITHIN = 1.4  # m from the object, beyond which no arm can reach it
 FARTHEST = 2.0  # m of a motion
+TIMES, MORE = 2, 8  # as many poses are drawn as are needed, and so many more, as some are not free
 BLIND = 0.3  # probability that motions go in any direction, from which Γ learns
 
 ANYWHERE = 0.06  # share of the labels that are drawn anywhere, far from the table too
@@ -111,7 +112,7 @@ def _free_poses(
     """`count` scenarios with the robot placed by `put` (n, 3), where the base is free."""
     found, footprint = scenes.draw(0, Generator()), scenes.footprint
     while len(found) < count:
-        base = scenes.draw(2 * (count - len(found)) + 8, generator)
+        base = scenes.draw(TIMES * (count - len(found)) + MORE, generator)
         drawn = replace(base, pose=put(base))
         found = found.joined(drawn[~in_table(drawn, footprint)])
     return found[:count]

@@ -203,7 +203,7 @@ def _draw_robots(axes: "Axes", poses: Tensor, footprint: Box) -> None:
         list(_on_paper(rotate(line[None], poses[:, 2, None]) + poses[:, None, :2]).numpy())
         for line in (ring, nose)
     )
-    faint = (ROBOT, min(0.8, max(0.12, 8 / len(poses))))
+    faint = (ROBOT, min(0.8, 8 / len(poses)))
     fill = (ROBOT, 0.12 if len(poses) == 1 else 0.0)
     style: dict[str, Any] = {"edgecolors": [faint], "linewidths": 0.9, "zorder": 2}
     about: dict[str, Any] = {"gid": "robots", "label": "robot at its start"}

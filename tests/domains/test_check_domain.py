@@ -16,9 +16,10 @@ from torch import Tensor
 
 from cgtorch import Field
 from cgtorch.domains import domain as domains
-from cgtorch.domains.check import check_domain
+from cgtorch.domains.check import check_domain, check_sizes
+from cgtorch.graphs import BranchingNN, Step
 from cgtorch.ground.environment import Environment, Lanes, Rewarded, ScenarioBatch
-from cgtorch.ground.errors import DomainError, WorldError
+from cgtorch.ground.errors import ActionError, DomainError, WorldError
 
 
 def refused(domain: Cart, scenarios: str = "any") -> str:
@@ -262,3 +263,12 @@ def test_noise_is_known_by_its_method() -> None:
 
     assert not domains.noisy(Cart())
     assert domains.noisy(cart_with(draw=draw))
+
+
+def test_an_action_for_other_numbers_is_named() -> None:
+    check_sizes("Look", BranchingNN(4), 4, 3)
+    check_sizes("Push", Step(3), 4, 3)
+    with pytest.raises(ActionError, match="'Look' reads 5 numbers, and a percept has 4; make it"):
+        check_sizes("Look", BranchingNN(5), 4, 3)
+    with pytest.raises(ActionError, match=r"'Push' sends 2 numbers .* has 3; make it as Step\(3\)"):
+        check_sizes("Push", Step(2), 4, 3)

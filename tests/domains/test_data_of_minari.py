@@ -69,6 +69,7 @@ SAME: list[dict[str, Any]] = [
         "observations/b": np.arange(1.0, 8, 2),
         "observations/a/deep": np.arange(0.0, 8, 2).reshape(4, 1),
     },
+    {"observations": None, "observations/a/b/c/d/e/f/g/h": np.arange(8.0).reshape(4, 2)},
 ]
 
 

@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rail import RailSettings
 
-from cgtorch.domains.settings import MOST, DomainSettings, from_plain, option, to_plain
+from cgtorch.domains.settings import (
+    MOST,
+    DomainSettings,
+    from_plain,
+    known_options,
+    option,
+    to_plain,
+)
 from cgtorch.ground.errors import SettingsError
 
 
@@ -119,3 +126,22 @@ def test_numbers_without_end_go_through_a_file_as_text(reach: float) -> None:
     assert from_plain(Far, json.loads(text)).colour == "inf"
     with pytest.raises(SettingsError, match="reach is 'nan'; give a number"):
         from_plain(Far, {"reach": "nan", "colour": ""})
+
+
+def test_a_setting_that_is_unknown_is_told_what_may_be_meant() -> None:
+    given_ = {"wind": 1.0, "stops": ["a", "b"]}
+    assert known_options(RailSettings, given_) == {"wind": 1.0, "stops": ("a", "b")}
+    with pytest.raises(SettingsError, match=r"unknown setting 'winds'; did you mean 'wind'\?"):
+        known_options(RailSettings, {"winds": 1.0})
+    names = ", ".join(f.name for f in fields(RailSettings))
+    with pytest.raises(SettingsError, match=f"unknown setting 'zzz'; use one of {names}$"):
+        known_options(RailSettings, {"zzz": 1.0})
+
+    @dataclass
+    class Others:
+        speed: float = 1.0
+
+    with pytest.raises(SettingsError, match=r"unknown setting 'sped'; did you mean 'speed'\?"):
+        known_options(RailSettings, {"sped": 1.0}, Others)
+    with pytest.raises(SettingsError, match=r"unknown setting 'speed'; did you mean 'speed'\?"):
+        known_options(RailSettings, {"speed": 1.0}, Others)

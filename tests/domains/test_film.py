@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support import circle, seeded
 
-from cgtorch.domains.film import MOST, Film, Reel, animated, renderer, shrunk
+from cgtorch.domains.film import COLOURS, MOST, Film, Reel, animated, renderer, shrunk
 from cgtorch.domains.gymnasium import Gymnasium
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.registry import make_domain
@@ -114,10 +114,18 @@ def test_films_are_written_one_after_the_other(kind: str) -> None:
     assert abs(int(np.asarray(read.convert("RGB")).mean()) - 130) < 12
 
 
+@pytest.mark.parametrize("kind", ["gif", "webp"])
+def test_a_gif_has_few_colours(kind: str) -> None:
+    rainbow = np.arange(768, dtype=np.uint32).astype(np.uint8).reshape(16, 16, 3)
+    data = animated([Film([rainbow], 80, "success")], kind)
+    colours = Image.open(io.BytesIO(data)).convert("RGB").getcolors()
+    assert (len(colours) <= COLOURS) == (kind == "gif")
+
+
 def test_wide_pictures_are_shrunk() -> None:
     assert shrunk(picture(3, 80), 20).shape == (1, 20, 3)
     assert shrunk(picture(3, 80), 200).shape == (6, 80, 3)
-    assert shrunk(picture(3, 80), 80).shape == (6, 80, 3)
+    assert shrunk(wide := picture(3, 80), 80) is wide
     assert shrunk(picture(3, 80), 10).shape == (1, 10, 3)  # and never to nothing
 
 
@@ -146,6 +154,7 @@ def test_what_a_gymnasium_environment_draws() -> None:
     film = filmed(made(DRAWN), 500)
     assert film.frames[0].shape == (30, 500, 3)
     assert [int(frame.mean()) for frame in film.frames] == [*range(13), 12]
+    assert list(film.acts[:4]) == [0, 1, 3, 5]  # two actions for each step after the first
     assert film.lasts == 100
     assert filmed(made(GOAL), 500) is None
     with pytest.raises(DomainError, match=r"drew 'a cat'; in render_mode 'rgb_array', return an"):

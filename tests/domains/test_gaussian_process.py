@@ -96,6 +96,8 @@ def test_the_choice_makes_the_data_more_likely() -> None:
 
     found = fitted_parameters(guess, x, y, 30)
     assert log_likelihood(found) > log_likelihood(guess) + 10
+    first = fitted_parameters(guess, x, y, 1)
+    assert log_likelihood(guess) < log_likelihood(first) < log_likelihood(found) - 10
     assert float(Kernel.of(found).noise) >= LEAST_NOISE**2
 
 

@@ -16,9 +16,10 @@ from cgtorch.improvement.played import Steps
 
 gymnasium = pytest.importorskip("gymnasium")
 
-from cgtorch.domains.gymnasium import Gymnasium  # noqa: E402
+from cgtorch.domains.gymnasium import Gymnasium, Known  # noqa: E402
 from cgtorch.domains.gymnasium_limits import Effects  # noqa: E402
 from cgtorch.domains.gymnasium_models import GymnasiumModels  # noqa: E402
+from cgtorch.domains.gymnasium_world import Success  # noqa: E402
 from cgtorch.domains.rewarded_models import MOST_NUMBERS  # noqa: E402
 
 REWARDS = """
@@ -49,6 +50,18 @@ def test_bounds_scale_what_has_some_without_a_step_in_the_world() -> None:
     assert domain.target_return == 90
     limits = GymnasiumModels(domain).limits(torch.zeros(1, 2))
     torch.testing.assert_close(limits.low, -torch.ones(2).double())
+
+
+def test_what_is_known_already_is_kept_where_steps_count() -> None:
+    usual = Gymnasium(GymnasiumSettings("MountainCarContinuous-v0"))
+    played = usual.known
+    sparing = usual.sparing()
+    assert type(sparing) is not Gymnasium
+    assert sparing.known is played
+    told = Success("solved")
+    about = GymnasiumSettings("MountainCarContinuous-v0", success="solved")
+    of_success = Gymnasium(about, Known(played.scaling, told))
+    assert of_success.sparing() is of_success
 
 
 def test_numbers_without_bounds_are_scaled_by_some_steps() -> None:

@@ -9,6 +9,7 @@ from support import seeded
 
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium_limits import bounds_of_percepts
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import LISTED, controls_of, percepts_of, tried
 from cgtorch.domains.registry import make_domain
@@ -194,6 +195,16 @@ def test_numbers_that_cannot_vary_are_no_controls() -> None:
     assert action.dtype == np.int64
     with pytest.raises(DomainError, match="only numbers and choices that vary can be controls"):
         controls_of(spaces.Box(2.0, 2.0, (3,)), "still")
+
+
+def test_bounds_of_choices_are_nought_and_one() -> None:
+    box = spaces.Box(np.array([-1.0, -FAR]), np.array([FAR, 2.0]), dtype=np.float64)
+    both = spaces.Tuple((box, spaces.Discrete(2), spaces.MultiBinary(1)))
+    low, high = bounds_of_percepts(percepts_of(both, (), "both"))
+    assert low.tolist() == [-1, -np.inf, 0, 0, 0]
+    assert high.tolist() == [np.inf, 2, 1, 1, 1]
+    low, high = bounds_of_percepts(percepts_of(both, ("observation[1] 2", "*[3]*"), "both"))
+    assert (low.tolist(), high.tolist()) == ([-np.inf, 0], [2, 1])
 
 
 def test_percepts_are_copies_of_the_kind_that_was_declared() -> None:

@@ -138,14 +138,18 @@ class Rewired(RobotDriver):
 
 def test_a_domain_keeps_all_but_its_world(tmp_path: Path) -> None:
     simulated = Cart()
+    simulated.repeats = True
     domain = on_robot(simulated, Rewired(), JsonLines(tmp_path / "log"))
     assert isinstance(domain, Cart)
+    assert not domain.repeats
     assert domain.simulated is simulated
     assert isinstance(simulated.world(simulated.draw("any", 1, seeded(0))), Rail)
     assert domain.settings == simulated.settings
     assert domain.percept == Cart.percept
     world, lanes = begun(domain, kind="any")
     assert lanes.percept.tolist() == [[0.0] * 4]
+    _, done = world.step(lanes, torch.tensor([[0.0, float("nan"), 0.0]]))
+    assert done.tolist() == [False]
     _, done = world.step(lanes, torch.zeros(1, 3))
     assert done.tolist() == [True]
 

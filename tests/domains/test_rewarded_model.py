@@ -66,12 +66,15 @@ def test_errors_are_the_larger_the_less_is_known(gamma: GaussianProcess) -> None
     assert off[1] > 2 * off[0]
 
 
-@pytest.mark.parametrize(("kind", "left"), [(RewardedModel, -3.0), (CuriousModel, 1.0)])
+@pytest.mark.parametrize(
+    ("kind", "least", "left"),
+    [(RewardedModel, -3.0, -3.0), (RewardedModel, 2.0, 0.0), (CuriousModel, -3.0, 1.0)],
+)
 def test_beyond_its_data_each_step_gives_the_least_or_is_what_is_wanted(
-    kind: type[RewardedModel], left: float, gamma: GaussianProcess
+    kind: type[RewardedModel], least: float, left: float, gamma: GaussianProcess
 ) -> None:
     start = torch.tensor([[5000.0, 0.5]])
-    world = kind(Imagined(start.double(), torch.zeros(1, 2)), gamma, reward, 5, -3.0)
+    world = kind(Imagined(start.double(), torch.zeros(1, 2)), gamma, reward, 5, least)
     lanes, _ = world.step(start_lanes(world, torch.arange(1), 0, 0), torch.ones(1, 1))
     assert world.over(lanes).all()
     assert torch.equal(lanes.percept, start)

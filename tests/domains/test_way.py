@@ -5,11 +5,13 @@ from typing import Any
 
 import pytest
 import torch
-from rail import Cart, driven
+from rail import Cart, Rail, cart_with, driven
+from support import circle, seeded
 
 from cgtorch.domains.failures import Cause, Explained, Failure, Failures, Tried
 from cgtorch.domains.knowledge import Knowledge
-from cgtorch.domains.way import HELD_OUT, LEAST, ROWS, USUAL, Act, Judge, Motion, Way
+from cgtorch.domains.way import HELD_OUT, LEAST, ROWS, USUAL, Act, Judge, Motion, Way, way_of
+from cgtorch.ground.environment import Lanes
 from cgtorch.ground.fields import wrapped
 
 NOTHING = torch.zeros(1)
@@ -92,6 +94,46 @@ def test_of_a_number_that_gamma_knows_the_range_decides_which_error_is_small(
     found = judge.of_motion(before, exact.control[0].double(), before + LEAST * width)
     assert found.errors is not None
     torch.testing.assert_close(found.errors.float(), torch.ones(4), rtol=0.01, atol=0.01)
+
+
+class Stuck(Rail):
+    """Each second push is refused."""
+
+    pushes = 0
+
+    def step(self, lanes: Lanes, control: torch.Tensor) -> tuple[Lanes, torch.Tensor]:
+        self.pushes += 1
+        after, done = super().step(lanes, control)
+        return (after, done) if self.pushes % 2 else (lanes, ~done)
+
+
+@pytest.mark.parametrize("judged", [True, False])
+def test_each_act_has_its_motions_or_the_control_that_was_refused(
+    known: Knowledge, judged: bool
+) -> None:
+    domain = cart_with(world=lambda self, scenarios: Stuck(scenarios))
+    skill = replace(circle(domain.actions(), "Aim", "Step"), max_transitions=8)
+    world, judge = domain.world(domain.draw("any", 1, seeded(0))), Judge(None, Cart.percept)
+    if judged:
+        judge = Judge(known, Cart.percept)
+    found = way_of(skill, world, judge)
+    assert found.end == "timeout"
+    assert torch.equal(found.first, world.start(torch.tensor([0]))[1][0])
+    assert [act.node for act in found.acts] == ["Aim_0", "Step_1"] * 4
+    steps = found.acts[1::2]
+    assert [act.outcome for act in steps] == ["success", "failure"] * 2
+    assert [len(act.motions) for act in found.acts] == [0, 1, 0, 0] * 2
+    for act in steps[::2]:
+        assert torch.equal(act.motions[0].became, act.percept)
+        assert act.refused is None
+        assert (act.motions[0].predicted is not None) == judged
+    for act in steps[1::2]:
+        assert act.refused is not None
+        assert torch.equal(act.refused, steps[0].motions[0].control)
+        assert act.refused.shape == (3,)
+    assert all(act.refused is None for act in found.acts[::2])
+    chances = judge.chances(torch.stack([act.percept for act in found.acts]))
+    assert [act.chance for act in found.acts] == (pytest.approx(chances) if judged else chances)
 
 
 def test_without_models_nothing_is_said() -> None:

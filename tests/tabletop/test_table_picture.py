@@ -10,7 +10,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from support import seeded
 
 from cgtorch.ground.errors import DataError
-from cgtorch.tabletop.table_picture import SCENES, draw_placements, draw_scenes, draw_table_top
+from cgtorch.tabletop.table_picture import (
+    AROUND,
+    FOOTPRINT,
+    LONGEST,
+    MARGINS,
+    SCENES,
+    _bounds,
+    draw_placements,
+    draw_scenes,
+    draw_table_top,
+)
 from cgtorch.tabletop.world import (
     Scenarios,
     cluttered_scenarios,
@@ -48,6 +58,40 @@ def test_every_object_is_where_it_stands_and_marks_differ_without_colour() -> No
     assert shapes[0] != shapes[1]
     assert parts["targets"].get_sizes()[0] > 2 * parts["reached"].get_sizes()[0]
     assert len(parts["targets"].get_facecolors()) == 0  # a ring hides no mark
+    order = [parts[gid].get_zorder() for gid in ("table", "robots", "reached", "missed", "targets")]
+    assert order == sorted({*order})
+
+
+def test_where_there_are_many_marks_are_smaller_and_robots_fainter() -> None:
+    many = random_scenarios("perimeter", 200, seeded(3))
+    for count, drawn_, size, fill in ((1, 1, 40, 0.12), (120, 60, 40, 0.0), (121, 41, 26, 0.0)):
+        figure = draw_table_top(many[:count], torch.ones(count))
+        parts = parts_of(figure.axes[0])
+        assert parts["reached"].get_sizes().tolist() == [size]
+        robots = parts["robots"]
+        assert len(robots.get_paths()) == drawn_
+        assert robots.get_edgecolors()[0][3] == pytest.approx(min(0.8, 8 / drawn_))
+        assert robots.get_facecolors()[0][3] == fill
+
+
+def test_a_picture_is_six_inches_long_with_room_around_everything() -> None:
+    scenarios, succeeded, _ = some()
+    figure = draw_table_top(scenarios, succeeded)
+    left, right, bottom, top = MARGINS
+    size = figure.get_size_inches()
+    inside = size - (left + right, bottom + top)
+    assert inside.max() == pytest.approx(LONGEST)
+    (x0, y0), (x1, y1) = (bound.tolist() for bound in _bounds(scenarios, FOOTPRINT))
+    axes = figure.axes[0]
+    assert axes.get_xlim() == pytest.approx((y1 + AROUND / 2, y0 - AROUND / 2))
+    assert axes.get_ylim() == pytest.approx((x0 - AROUND / 2, x1 + AROUND / 2))
+    assert inside[0] / inside[1] == pytest.approx((y1 - y0 + AROUND) / (x1 - x0 + AROUND))
+    sides = figure.subplotpars
+    assert (sides.left * size[0], sides.bottom * size[1]) == pytest.approx((left, bottom))
+    ends = (1 - sides.right) * size[0], (1 - sides.top) * size[1]
+    assert ends == pytest.approx((right, top))
+    turns = {text.get_text(): text.get_rotation() for text in axes.texts}
+    assert turns == {"near": 0, "far": 0, "left": 90, "right": 270}
 
 
 def test_title_legend_scale_orientation_and_edge_names() -> None:

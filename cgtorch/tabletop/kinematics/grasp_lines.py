@@ -78,7 +78,7 @@ def grasps_of_any_arm(robot: Robot, which: int, lines: Lines, places: Places) ->
     arm, scene, path = robot.arms[which], robot.scenes[which], lines.path
     home = robot.home[which].to(path.device).double()
     solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
-    found = [(lines.row[:0], solved[:0], home.new_zeros(0, LINE, len(home)))]
+    found = [(lines.row[:0], solved[:0], home.new_empty(0, LINE, len(home)))]
     for part in postures_in_turn(arm, path, solved):
         near = _near_home(arm, *followed(robot, which, path, places[lines.row], *part), home)
         every, joints = near

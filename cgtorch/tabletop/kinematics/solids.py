@@ -95,7 +95,7 @@ def with_boxed_hand(solids: Solids, joints: int) -> Solids:
 def solids_of(shapes: list[tuple[Tensor, Tensor, int, int]]) -> Solids:
     """Solids from pose (4, 4), size (5,), frame and number of joints of each."""
     if not shapes:
-        return fixed_solids(torch.zeros(0, 3, 4).double(), torch.zeros(0, 5).double())
+        return fixed_solids(torch.empty(0, 3, 4).double(), torch.empty(0, 5).double())
     poses, sizes, frames, joints = zip(*shapes, strict=True)
     pose, size = torch.stack(poses)[:, :3], torch.stack(sizes)
     return Solids(pose, size, torch.tensor(frames), torch.tensor(joints))

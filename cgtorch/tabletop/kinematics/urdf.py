@@ -181,7 +181,7 @@ def parsed(data: bytes, where: str, huge: bool = False) -> Any:
         reason = _line(error)[:100]
         raise RobotError(f"{where} is not well-formed XML ({reason}): correct it") from None
     info = root.getroottree().docinfo
-    if info.doctype or info.internalDTD is not None:
+    if info.internalDTD is not None:
         raise RobotError(
             f"{where} has a document type ({info.doctype!r:.100}), which can name entities and "
             "files: remove the <!DOCTYPE ...> declaration"
@@ -303,7 +303,7 @@ def _check_joint(joint: Any, where: str) -> None:
     if axis is None:
         axis = etree.SubElement(joint, "axis")
     text = axis.get("xyz", "1 0 0")
-    values = [float(part) for part in text.replace(",", " ").split()]
+    values = [float(part) for part in text.split()]
     length = math.hypot(*values)
     if length < 1e-9:
         raise RobotError(f"{where} has the axis {text!r}: give it a direction")
@@ -311,11 +311,11 @@ def _check_joint(joint: Any, where: str) -> None:
     if kind == "continuous":
         return
     limit = joint.find("limit")
-    lower, upper = (None, None) if limit is None else (limit.get("lower"), limit.get("upper"))
-    if lower is None or upper is None:
+    if limit is None:
         raise RobotError(
-            f"{where}, which is {kind}, has the limits ({lower}, {upper}): give "
-            "<limit> a lower and an upper one, or make the joint continuous"
+            f"{where}, which is {kind}, has no limits: give it a <limit> with a lower and an upper "
+            "one, or make the joint continuous"
         )
+    lower, upper = limit.get("lower"), limit.get("upper")
     if float(lower) > float(upper):
         raise RobotError(f"{where} has the limits ({lower}, {upper}): give lower <= upper")

@@ -34,6 +34,12 @@ NEIGHBOURS = 2
 """Bodies of an arm with at most this many joints between them do not collide by design."""
 SHOULDER = 3
 """Bodies of an arm that hang from at most this many joints do not collide with the robot's body."""
+METAL, GREY, WOOD, BROWN, GREEN = (
+    [0.75, 0.77, 0.8, 1], [0.55, 0.56, 0.58, 1], [0.72, 0.55, 0.38, 1], [0.5, 0.35, 0.3, 1],
+    [0.1, 0.55, 0.3, 1],
+)  # fmt: skip
+AMBIENT, DIFFUSE = [0.4, 0.4, 0.4], [0.5, 0.5, 0.5]
+LAMP: dict[str, Any] = {"pos": [0, 0, 4], "dir": [0, 0, -1], "castshadow": False}
 GROUND = ("slab", "block")
 BASE = ("base x", "base y", "base turn")
 
@@ -207,7 +213,7 @@ def _add_robot(mj: Any, spec: Any, bodies: list[RigidBody], servos: dict[str, Se
             one.add_geom(
                 name=f"{body.name}#{k}", type=_geom(mj, shape.kind), size=_three(shape.size),
                 pos=shape.pose[:3, 3], quat=_quaternion(mj, shape.pose), condim=4, mass=0,
-                contype=1, conaffinity=1, rgba=[0.75, 0.77, 0.8, 1],
+                contype=1, conaffinity=1, rgba=METAL,
             )  # fmt: skip
 
 
@@ -223,24 +229,24 @@ def _add_follower(mj: Any, spec: Any, joint: Any) -> None:
 
 def _add_scene(mj: Any, spec: Any, boxes: int, thing: Thing) -> None:
     """Add the floor, the table, obstacles and the object; sizes of boxes are set later."""
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.5] * 3
-    spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], castshadow=False)
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = AMBIENT, DIFFUSE
+    spec.worldbody.add_light(**LAMP)
     spec.worldbody.add_geom(
         name="floor", type=_geom(mj, "plane"), size=[0, 0, 1], contype=FLOOR, conaffinity=0,
-        rgba=[0.55, 0.56, 0.58, 1],
+        rgba=GREY,
     )  # fmt: skip
     for name in _box_names(boxes):
         body = spec.worldbody.add_body(name=name, mocap=True)
         body.add_geom(
             name=name, type=_geom(mj, "box"), size=[1, 1, 1], condim=4, contype=1, conaffinity=1,
-            rgba=[0.72, 0.55, 0.38, 1] if name in GROUND else [0.5, 0.35, 0.3, 1],
+            rgba=WOOD if name in GROUND else BROWN,
         )  # fmt: skip
     body = spec.worldbody.add_body(name="object")
     body.add_freejoint(name="object")
     body.add_geom(
         name="object", type=_geom(mj, thing.kind), size=_three(thing.size), mass=thing.mass,
         condim=4, contype=1, conaffinity=1 | FLOOR, friction=[thing.friction, 0.01, 0.001],
-        rgba=[0.1, 0.55, 0.3, 1],
+        rgba=GREEN,
     )  # fmt: skip
 
 

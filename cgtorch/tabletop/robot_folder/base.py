@@ -50,10 +50,10 @@ def _height(structure: Structure, chains: list[list[Any]], notes: list[str]) -> 
         ground = float(structure.pose(known[0])[2, 3])
     else:
         every = structure.hanging(structure.base)
-        moved = {link for chain in chains if chain for link in structure.hanging(chain[0].child)}
+        moved = {link for chain in chains for link in structure.hanging(chain[0].child)}
         found = [structure.points(link) for link in every if link not in moved]
         found = found if any(map(len, found)) else [structure.points(link) for link in every]
-        ground = float(np.concatenate([np.zeros((0, 3)), *found])[:, 2].min(initial=math.inf))
+        ground = float(np.concatenate([np.empty((0, 3)), *found])[:, 2].min(initial=math.inf))
     if math.isfinite(ground):
         return -ground if abs(ground) > OFF_FLOOR else 0.0
     notes.append(f"nothing collides, so that {structure.base!r} is taken to be on the floor")
@@ -153,7 +153,7 @@ def _forward(structure: Structure, chains: list[list[Any]]) -> float:
     Arms that reach all round say nothing, nor do those that lead there on the whole.
     """
     model, rng = structure.urdf.model, np.random.default_rng(0)
-    ways = np.zeros((0, 3))
+    ways = np.empty((0, 3))
     for chain in chains:
         ends = [(-math.pi, math.pi) if j.type == "continuous" else _limits(j) for j in chain]
         low, high = np.array(ends).reshape(-1, 2).T

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from types import MappingProxyType
 from typing import Any
 
@@ -96,6 +97,13 @@ def propose(
     if given:
         hands = [_hand_of(structure, arm) for arm in given]
         shared, chains = _chains(structure, hands)
+        for arm, chain in zip(given, chains, strict=True):
+            if not chain:
+                raise RobotError(
+                    f"URDF {str(urdf.path)!r}: arm {arm.name!r} has no joints of its own between "
+                    f"{arm.base_link!r} and {arm.tool_frame!r}: name other links by --arm "
+                    "NAME=BASE_LINK:TOOL_FRAME"
+                )
     else:
         hands, shared, chains = _found(structure, notes)
     structure = replace(structure, urdf=solid_arms(structure, chains, hands, notes))
@@ -104,22 +112,21 @@ def propose(
     structure = Structure(urdf, base, corners)
     urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
     opened = {k: v for hand in hands for k, v in open_fingers(structure, hand).items()}
-    torso = _torso(structure, shared, chains, wishes)
+    torso = _torso(structure, shared, wishes)
     in_arms = {joint.name for chain in chains for joint in chain}
     held = rest_positions(urdf, tuple(in_arms)) | opened | dict(wishes.held)
     position = None if torso is None else held.pop(torso)
     position = wishes.torso_position if wishes.torso_position is not None else position
     urdf.model.update_cfg(held if torso is None else {**held, torso: position})
     if torso is not None and wishes.torso_position is None:
-        position = _torso_position(structure, urdf.joint(torso), chains, held)
-        urdf.model.update_cfg({torso: position})
+        position = _torso_position(structure, urdf.joint(torso), chains)
     arms = wishes.arms
     if not arms:
         urdf, arms = _arms(structure, hands, chains, notes)
         structure = Structure(urdf, base, corners)
-        urdf.model.update_cfg(held if torso is None else {**held, torso: position})
+    urdf.model.update_cfg(held if torso is None else {**held, torso: position})
     for arm, chain in zip(arms, chains, strict=True):
-        if chain and not any(len(structure.points(n)) for n in structure.hanging(chain[0].child)):
+        if not any(len(structure.points(name)) for name in structure.hanging(chain[0].child)):
             raise RobotError(
                 f"URDF {str(urdf.path)!r}: nothing of arm {arm.name!r}, from joint "
                 f"{chain[0].name!r} on, has a shape: add collision or visual shapes, by which it "
@@ -171,26 +178,22 @@ def _chains(structure: Structure, hands: list[str]) -> tuple[list[Any], list[lis
     paths = [structure.path(hand) for hand in hands]
     count = 0
     if len(paths) > 1:
-        while len({path[count].name for path in paths if len(path) > count}) == 1:
-            count += 1
+        alike = (len({joint.name for joint in each}) == 1 for each in zip(*paths, strict=False))
+        count = sum(takewhile(bool, alike))
     for i, joint in enumerate(paths[0][: len(paths[0]) - LEAST_JOINTS]):
         if i >= count and slides_upright(structure, joint):
             count = i + 1
     return paths[0][:count], [path[count:] for path in paths]
 
 
-def _torso(
-    structure: Structure, shared: list[Any], chains: list[list[Any]], wishes: Wishes
-) -> str | None:
+def _torso(structure: Structure, shared: list[Any], wishes: Wishes) -> str | None:
     if wishes.torso_joint is not None:
         return str(structure.urdf.joint(wishes.torso_joint).name) if wishes.torso_joint else None
     slides = [joint.name for joint in shared if slides_upright(structure, joint)]
     return slides[-1] if slides else None
 
 
-def _torso_position(
-    structure: Structure, joint: Any, chains: list[list[Any]], held: Mapping[str, float]
-) -> float:
+def _torso_position(structure: Structure, joint: Any, chains: list[list[Any]]) -> float:
     """The position at which the shoulders are nearest to one metre above the floor."""
     if joint.type == "continuous":
         return 0.0

@@ -29,7 +29,7 @@ def solid_arms(
     structure: Structure, chains: Sequence[Sequence[Any]], hands: Sequence[str], notes: list[str]
 ) -> Urdf:
     """The URDF with what is seen of arms and hands, of which nothing collides, as what collides."""
-    begins = [chain[0].child for chain in chains if chain]
+    begins = [chain[0].child for chain in chains]
     links = [structure.hanging(link) for link in (*begins, *hands)]
     bare = [each for each in links if not any(structure.shapes(name) for name in each)]
     seen = [name for each in bare for name in each if structure.urdf.link(name).visuals]

@@ -80,7 +80,7 @@ class Structure:
     def points(self, link: str, frame: str | None = None) -> Array:
         """(K, 3) points on the shapes of a link, m, in the base frame or another."""
         pose = np.asarray(self.urdf.model.get_transform(link, frame or self.base))
-        return np.concatenate([np.zeros((0, 3)), *self.shapes(link, pose)])
+        return np.concatenate([np.empty((0, 3)), *self.shapes(link, pose)])
 
     def shapes(self, link: str, pose: Array | None = None) -> list[Array]:
         """Points (K, 3) on each collision shape of a link, in the base frame or a pose's."""
@@ -98,7 +98,7 @@ class Structure:
         for name in links:
             pose = np.asarray(self.urdf.model.get_transform(name, frame or self.base))
             every += self.shapes(name, pose) or _placed(self.urdf.link(name).visuals, pose)
-        return np.concatenate([np.zeros((0, 3)), *every])
+        return np.concatenate([np.empty((0, 3)), *every])
 
 
 def _placed(parts: Sequence[Any], pose: Array) -> list[Array]:

@@ -35,7 +35,22 @@ NONE = "nothing"
 NOTHING = '<p style="padding:6px 12px">Choose a skill to compare with.</p>'
 SLOWEST, FASTEST = 0.25, 4.0
 APART = 4.5  # m between two skills that are compared
+ALONE, BEHIND = (-2.6, -4.4, 3.6), (-8.2, 0.0, 6.6)
+"""Where the camera is (m): beside one skill, or behind two that stand left and right of it."""
+AHEAD = (-0.3, -0.2, 0.3)
+"""What it looks at."""
+FIELD = math.radians(45)
 GRAPH_WIDTH, CONTROLS_WIDTH = 470, 330  # px
+THEME: dict[str, Any] = {
+    "control_width": "large", "show_logo": False, "show_share_button": False,
+}  # fmt: skip
+FLOOR: dict[str, Any] = {
+    "width": 14.0, "height": 14.0, "cell_size": 0.5, "cell_color": (226, 229, 233),
+    "section_color": (205, 210, 216), "plane_color": (247, 248, 250), "plane_opacity": 1.0,
+}  # fmt: skip
+GIZMO: dict[str, Any] = {
+    "scale": 0.22, "active_axes": (True, True, False), "disable_rotations": True,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -65,12 +80,9 @@ class Page:
         self.scenario = scenario_of(wish.scenarios, wish.count, wish.seed, 0)
         self.shown: dict[int, object] = {}  # the explained part, by the number of the skill
         self.clock: float | None = None  # when the first picture would have been due, if playing
-        server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        server.gui.configure_theme(**THEME)
         server.gui.set_panel_label("cgtorch")
-        server.scene.add_grid(
-            "/floor", 14.0, 14.0, cell_size=0.5, cell_color=(226, 229, 233),
-            section_color=(205, 210, 216), plane_color=(247, 248, 250), plane_opacity=1.0,
-        )  # fmt: skip
+        server.scene.add_grid("/floor", **FLOOR)
         self._controls()
         panel = server.gui.add_panel()
         panel.dock_left()
@@ -79,9 +91,7 @@ class Page:
         for title in ("Skill", "Compared with"):
             with panel.add_tab(title):
                 self.graphs.append((server.gui.add_html(""), server.gui.add_html("")))
-        self.gizmo = server.scene.add_transform_controls(
-            "/drag", scale=0.22, active_axes=(True, True, False), disable_rotations=True
-        )
+        self.gizmo = server.scene.add_transform_controls("/drag", **GIZMO)
         self.gizmo.on_update(self._dragged)
         self._run(self.scenario)
 
@@ -168,11 +178,10 @@ class Page:
             scene.load(timeline)
         x, y, z = *self.scenario.object[0].tolist(), float(self.scenario.table[0, 5])
         self.gizmo.position = np.array([x, y, z])
-        middle, camera = -APART / 2 * (len(robots) - 1), self.server.initial_camera
-        camera.fov = math.radians(45)
-        # Beside one skill, behind two that stand left and right of it.
-        camera.position = (-2.6, -4.4, 3.6) if middle == 0 else (-8.2, middle, 6.6)
-        camera.look_at = (-0.3, middle - 0.2, 0.3)
+        camera, middle = self.server.initial_camera, [0.0, -APART / 2 * (len(robots) - 1), 0.0]
+        camera.fov = FIELD
+        camera.position = np.add(middle, ALONE if len(robots) == 1 else BEHIND)
+        camera.look_at = np.add(middle, AHEAD)
 
     def show(self, picture: int) -> None:
         """Show one picture of all scenes, with the graph and the readings of each skill."""

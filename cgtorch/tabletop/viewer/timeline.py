@@ -34,7 +34,7 @@ THINK, LOOK, REST = 0.4, 0.8, 1.0
 """Durations (s) of a step without motion, of one that perceives, and of the end."""
 UPRIGHT = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
 """The quaternion of an object that stands, w first."""
-NO_CONTACT = torch.zeros(0, 4, dtype=torch.float64)
+NO_CONTACT = torch.empty(0, 4, dtype=torch.float64)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class Scenarios(ScenarioBatch):
     table: Tensor
     object: Tensor
     seed: Tensor
-    obstacles: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 5))
+    obstacles: Tensor = field(default_factory=lambda: torch.empty(0, 0, 5))
 
     def __post_init__(self) -> None:
         """Add the default of no obstacles."""

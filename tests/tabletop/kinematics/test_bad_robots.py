@@ -8,6 +8,7 @@ import pytest
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_description, load_robot, load_urdf, robots_folder
+from cgtorch.tabletop.kinematics.urdf import _line, at_rest
 
 PR2 = robots_folder() / "pr2"
 TEXT = (PR2 / "pr2.urdf").read_text()
@@ -64,7 +65,7 @@ def test_the_files_are_sound_before_they_are_broken(tmp_path):
     ("text", "message"),
     [
         ("", "not well-formed XML"),
-        ("<robot", "not well-formed XML"),
+        ("<robot", "not well-formed XML (Couldn't find end of Start Tag robot line 1"),
         ("<robot><link name='a'></robot>", "not well-formed XML"),
         ("<sdf/>", "starts with <sdf>"),
         (f'<robot {XACRO}><xacro:include filename="x"/></robot>', "is a xacro file"),
@@ -80,7 +81,12 @@ def test_the_files_are_sound_before_they_are_broken(tmp_path):
         (joined("fixed", "", '<parent link="a"/>'), "joint 'j' has the child link None"),
         (joined("fixed", "", '<parent link="a"/><child link="c"/>'), "has the child link 'c'"),
         (joined("hinge", ""), "type 'hinge'"),
-        (joined("revolute", ""), "limits (None, None)"),
+        (f'<robot>{LINKS}<link name="c"/><joint name="j" type="fixed">{ENDS}</joint>'
+         '<joint name="k" type="fixed"><parent link="c"/><child link="b"/></joint></robot>',
+         "line 1: link 'b' is the child of more than one joint: keep one"),
+        ('<robot><link name="a"><inertial><mass value="1"/><inertia ixx="-1" ixy="0" ixz="0" '
+         'iyy="1" iyz="0" izz="1"/></inertial></link></robot>', "'a' has an inertia of -1 kg"),
+        (joined("revolute", ""), "joint 'j', which is revolute, has no limits: give it a <limit>"),
         (joined("revolute", LIMIT.format(1, -1)), "limits (1, -1)"),
         (joined("revolute", LIMIT.format(-1, "inf")), "limit upper is 'inf'"),
         (joined("revolute", '<axis xyz="0 0 0"/>' + LIMIT.format(-1, 1)), "axis '0 0 0'"),
@@ -281,3 +287,25 @@ def test_lines_are_told(tmp_path):
         ('<robot>\n<link name="a"/>\n<link name="a"/></robot>', "times, in lines 2, 3: keep one"),
     ):
         assert message in fails(load_urdf, robot(tmp_path, text))
+
+
+def test_what_says_nothing_is_left_out(tmp_path):
+    text = '<robot name="x">\n  <!-- a robot --><?made by="hand"?>\n  <link name="a"/>\n</robot>'
+    assert load_urdf(robot(tmp_path, text)).xml == b'<robot name="x"><link name="a"/></robot>'
+
+
+def test_an_error_without_words_is_told_by_its_name():
+    assert _line(ValueError("two\n words")) == "two words"
+    assert _line(ValueError()) == "ValueError"
+
+
+@pytest.mark.parametrize(
+    ("limits", "rest"), [((0.5, 1), 0.5), ((-1, -0.2), -0.2), ((-1, 1), 0.0), ((0, 0), 0.0)]
+)
+def test_a_joint_rests_as_near_to_nought_as_it_can(tmp_path, limits, rest):
+    urdf = load_urdf(robot(tmp_path, joined("prismatic", LIMIT.format(*limits))))
+    assert at_rest(urdf.joint("j")) == rest
+    turning = load_urdf(robot(tmp_path, joined("continuous", LIMIT.format(1, 2))))
+    assert at_rest(turning.joint("j")) == 0.0
+    free = load_urdf(robot(tmp_path, joined("floating", "")))
+    assert at_rest(free.joint("j")) == 0.0

@@ -1,12 +1,15 @@
 """How a robot is named: by its name, its folder, its description or its URDF."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_robot, robot_files, robots_folder
+from cgtorch.tabletop.kinematics.clear_ways import OWN
 
 FETCH = robots_folder() / "fetch"
 BOTH = (FETCH / "fetch.urdf", FETCH / "robot.json")
@@ -70,3 +73,21 @@ def test_a_missing_file_is_named_when_it_is_read(tmp_path):
         load_robot(tmp_path / "none.urdf")
     with pytest.raises(RobotError, match=r"cannot read '.*robot\.json'"):
         load_robot(BOTH[0], words)
+
+
+def test_links_that_never_collide_are_no_pairs_of_a_scene():
+    robot = load_robot()
+
+    def scene_without(*excludes):
+        words = replace(robot.description, excludes=excludes)
+        return replace(robot, description=words).scenes[0]
+
+    every = scene_without()
+    named = dict(enumerate([*[""] * OWN, *robot.arms[0].solid_links, *robot.body_links]))
+    links = [{named.get(a), named.get(b)} for a, b, _ in every.pairs.tolist()]
+    apart = next(both for both in links if len(both) == 2 and all(both))
+    kept = torch.tensor([both != apart for both in links])
+    fewer = scene_without(tuple(apart))
+    assert 0 < len(fewer.pairs) < len(every.pairs)
+    assert torch.equal(fewer.pairs, every.pairs[kept])
+    assert torch.equal(fewer.reach, every.reach[kept])

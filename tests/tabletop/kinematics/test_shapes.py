@@ -11,7 +11,19 @@ from points_outside import outside
 from trimesh.transformations import random_rotation_matrix, rotation_matrix, translation_matrix
 
 from cgtorch.tabletop.kinematics import shapes
-from cgtorch.tabletop.kinematics.shapes import Shape, capsule, fitted
+from cgtorch.tabletop.kinematics.shapes import (
+    MAX_FLATNESS,
+    ROUNDING,
+    THIN,
+    Shape,
+    _box,
+    _circle,
+    _right_handed,
+    _round,
+    _sides,
+    capsule,
+    fitted,
+)
 
 SLACK = 1e-9  # m, of rounding
 
@@ -135,3 +147,50 @@ def test_a_capsule_between_two_points():
     away = outside(shape, np.stack([start, end, (start + end) / 2 + [0, 0, 0.07]]))
     np.testing.assert_allclose(away, [0, 0, 0.02], atol=1e-12)
     assert capsule(start, start, 0.05).kind == "sphere"
+
+
+CORNERS = np.array(np.meshgrid((0.5, 1.5), (1.0, 3.0), (1.0, 5.0))).reshape(3, -1).T
+"""Of a box of 1, 2 and 4 m around (1, 2, 3)."""
+
+
+def test_a_box_and_what_is_round_hold_all_corners_and_hardly_more():
+    box = _box(CORNERS, np.eye(3))
+    np.testing.assert_allclose(box.pose[:3, 3], [1, 2, 3])
+    np.testing.assert_allclose(box.sizes, np.array([1, 2, 4]) + 2 * ROUNDING, atol=1e-12)
+    flat = _box(CORNERS * [0, 1, 1], np.eye(3))
+    assert flat.sizes[0] == pytest.approx(max(THIN, 4 / MAX_FLATNESS) + 2 * ROUNDING)
+    radius = math.hypot(0.5, 1) + ROUNDING
+    cylinder, round_ = _round(CORNERS, np.eye(3))
+    assert cylinder.kind == "cylinder"
+    assert cylinder.sizes == pytest.approx((radius, 4 + 2 * ROUNDING), abs=1e-9)
+    np.testing.assert_allclose(cylinder.pose[:3, 3], [1, 2, 3], atol=1e-9)
+    assert round_.kind == "capsule"
+    bulge = math.sqrt(radius**2 - (radius - ROUNDING) ** 2)  # of its ends over the corners
+    assert round_.sizes == pytest.approx((radius, 4 - 2 * bulge + 2 * ROUNDING), abs=1e-9)
+    np.testing.assert_allclose(round_.pose[:3, 3], [1, 2, 3], atol=1e-9)
+    short = _round(CORNERS * [1, 1, 0], np.eye(3))[1]
+    assert short.kind == "sphere"
+    assert short.sizes == pytest.approx((radius,), abs=1e-6)
+    turned = np.eye(3)[:, [1, 2, 0]]  # z leads along x
+    along, _ = _round(CORNERS, turned)
+    assert along.sizes == pytest.approx((math.hypot(1, 2) + ROUNDING, 1 + 2 * ROUNDING), abs=1e-6)
+    np.testing.assert_allclose(along.pose[:3, 3], [1, 2, 3], atol=1e-6)
+    np.testing.assert_allclose(_circle(np.array([[1.0, 2.0], [3.0, 2.0]])), [2, 2])
+    np.testing.assert_allclose(_circle(np.array([[1.0, 2.0]])), [1, 2])
+
+
+def test_axes_are_turned_to_be_right_handed():
+    mirrored = np.diag([1.0, 1.0, -1.0])
+    np.testing.assert_array_equal(_right_handed(mirrored), np.eye(3))
+    np.testing.assert_array_equal(_right_handed(np.eye(3)), np.eye(3))
+
+
+def test_a_plane_has_points_on_both_sides_and_where_edges_cross_it():
+    points = np.array([[0.0, 0, 0], [4.0, 4, 0], [1.0, 8, 0]])
+    edges = np.array([[0, 1], [1, 2], [2, 0]])
+    above, below = _sides(points, edges, 0, 2.0)
+    crossing = [[2, 2, 0], [2, pytest.approx(8 - 4 / 3), 0]]
+    assert above.tolist() == [[4, 4, 0], *crossing]
+    assert below.tolist() == [[0, 0, 0], [1, 8, 0], *crossing]
+    at, none = _sides(points, edges, 1, 0.0)
+    assert (len(at), len(none)) == (3, 0)

@@ -1,8 +1,10 @@
 """Merged links are where the library's own kinematics have them, and weigh what the URDF says."""
 
 import json
+import math
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -16,13 +18,28 @@ from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import Robot, load_robot, robots_folder
 from cgtorch.tabletop.physics import Physics, Thing
 from cgtorch.tabletop.physics.bodies import (
+    ARMATURE,
+    BASE_DAMPING,
+    BASE_FORCE,
+    EFFORT,
+    FINGER,
+    FINGER_ARMATURE,
+    GRIP,
     LEAST_INERTIA,
     LEAST_MASS,
+    SLIDING,
+    SPEED,
+    STIFFNESS,
+    TURN_DAMPING,
+    TURN_FORCE,
+    RigidBody,
     _mass,
+    base_servos,
     closed_at,
     gripper_joints,
     limit_of,
     rigid_bodies,
+    servos_of,
 )
 from cgtorch.tabletop.physics.model import build
 from cgtorch.tabletop.physics.scene import Scene, put
@@ -174,3 +191,44 @@ def test_a_limit_that_says_nothing_is_the_usual_one(value: float | None, found: 
     assert limit_of(joint, "effort", 7.0) == found
     assert limit_of(joint, "velocity", 7.0) == 2.0
     assert limit_of(Joint("any", type="revolute", limit=None), "effort", 7.0) == 7.0
+
+
+def moved_by(joint: Joint | None, mass: float = 1.0, turning: float = 0.0) -> RigidBody:
+    """A body that hangs from a joint, and whose centre of mass is 5 m from its axis."""
+    inertia = numpy.diag([9.0, 9.0, turning])
+    centre, pose = numpy.array([3.0, 4.0, 7.0]), numpy.eye(4)
+    return RigidBody("body", "", pose, joint, (), mass, centre, inertia)
+
+
+def test_servos_become_weaker_along_an_arm_and_fingers_have_their_own() -> None:
+    limit = Limit(effort=100.0, velocity=2.0)
+    joints = [
+        Joint("first", type="revolute"),
+        Joint("middle", type="prismatic", limit=limit),
+        Joint("last", type="continuous", limit=limit),
+        Joint("turns", type="revolute", limit=limit),
+        Joint("slides", type="prismatic", limit=limit),
+        Joint("weak", type="prismatic", limit=Limit(effort=4.0, velocity=2.0)),
+    ]
+    arm = SimpleNamespace(joint_names=("first", "middle", "last"))
+    robot: Any = SimpleNamespace(arms=[arm], description=SimpleNamespace(gains={"last": 7.0}))
+    servos = servos_of(robot, 0, [moved_by(joint) for joint in (None, *joints)])
+    assert servos["first"] == (STIFFNESS[0], EFFORT, SPEED, ARMATURE[0])
+    between = [math.sqrt(ends[0] * ends[1]) for ends in (STIFFNESS, ARMATURE)]
+    middle = between[0] * SLIDING, 100.0, 2.0, between[1]
+    assert servos["middle"] == pytest.approx(middle)
+    assert servos["last"] == (7.0, 100.0, 2.0, pytest.approx(ARMATURE[1]))
+    assert servos["turns"] == (FINGER[0], GRIP[0], 2.0, FINGER_ARMATURE[0])
+    assert servos["slides"] == (FINGER[1], GRIP[1], 2.0, FINGER_ARMATURE[1])
+    assert servos["weak"] == (FINGER[1], 4.0, 2.0, FINGER_ARMATURE[1])
+    assert servos_of(robot, None, [moved_by(joints[0])])["first"].stiffness == FINGER[0]
+    arm.joint_names = ("first",)
+    assert servos_of(robot, 0, [moved_by(joints[0])])["first"].stiffness == STIFFNESS[0]
+
+
+def test_the_base_is_moved_by_its_mass_and_turned_by_its_moment() -> None:
+    sliding, other, turning = base_servos([moved_by(None, 2.0, 4.0), moved_by(None, 6.0)])
+    assert sliding == other == (BASE_DAMPING * 8.0, BASE_FORCE * 8.0)
+    assert turning == (TURN_DAMPING * 54.0, TURN_FORCE * 54.0)
+    light = base_servos([moved_by(None, 0.01, 0.1)])[2]
+    assert light == (TURN_DAMPING, TURN_FORCE)

@@ -56,6 +56,7 @@ def test_the_object_stands_upright_on_the_table_at_first(physics: Physics) -> No
     assert torch.allclose(rows[:, -5], tops + physics.thing.half_height)
     assert torch.equal(rows[:, 9:11], world.scenarios.object)
     assert torch.allclose(world.placed(lanes.state)[:, 2], tops)
+    assert not lanes.state[:, -1].any(), "no arm has touched anything"
 
 
 def test_rows_do_not_depend_on_one_another_nor_on_processes(

@@ -1,11 +1,15 @@
 """Where the floor is, where a robot faces, and a stand."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from small_urdfs import box, chain, link, urdf_of
+from lxml import etree
+from small_urdfs import LIMIT, box, chain, joint, link, urdf_of
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
+from cgtorch.tabletop.robot_folder.base import _unused, add_frame, rest_positions
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 
 BASE = link("base", box("0.2 0.1 0.4", "0 0 0.2"))
@@ -47,3 +51,33 @@ def test_a_stand_lifts_the_robot_and_is_part_of_its_body(tmp_path):
     assert {"stand", "base"} <= set(words.body)
     with pytest.raises(RobotError, match="a stand needs a base frame of its own, not 'base'"):
         proposed(tmp_path, BASE, arm, stand=0.5, base_frame="base")
+
+
+def test_a_frame_is_added_below_a_link_or_above_it_under_a_free_name():
+    known = SimpleNamespace(below={"stand": [], "stand_added": []})
+    assert _unused(known, "floor") == "floor"
+    assert _unused(known, "stand") == "stand_added_added"
+    root, pose = etree.Element("robot"), np.eye(4)
+    pose[:3, :3], pose[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [1, 2, 3]
+    add_frame(root, "tool", "hand", pose)
+    add_frame(root, "floor", "base", pose, above=True)
+    assert [each.get("name") for each in root.findall("link")] == ["tool", "floor"]
+    below, above = root.findall("joint")
+    assert (below.get("name"), below.get("type")) == ("tool_joint", "fixed")
+    ends = [[each.find(end).get("link") for end in ("parent", "child")] for each in (below, above)]
+    assert ends == [["hand", "tool"], ["floor", "base"]]
+    assert below.find("origin").get("xyz") == "1.0 2.0 3.0"
+    turned = [float(angle) for angle in below.find("origin").get("rpy").split()]
+    assert turned == pytest.approx([0, 0, np.pi / 2])
+
+
+def test_joints_rest_where_they_are_nearest_to_nought(tmp_path):
+    far = LIMIT.replace('"-1"', '"0.5"')
+    follows = LIMIT + '<mimic joint="a_joint"/>'
+    parts = (
+        BASE, link("a"), joint("a", "base", more=far), link("b"), joint("b", "base", more=follows),
+        link("c"), joint("c", "base"), link("d"), joint("d", "base", kind="fixed", more=""),
+    )  # fmt: skip
+    urdf = load_urdf(urdf_of(tmp_path, *parts))
+    assert rest_positions(urdf) == {"a_joint": 0.5, "c_joint": 0.0}
+    assert rest_positions(urdf, ("a_joint",)) == {"c_joint": 0.0}

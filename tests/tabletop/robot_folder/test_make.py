@@ -2,18 +2,32 @@
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import mesh_robot
 import numpy as np
 import pytest
 import torch
+from matplotlib.colors import to_hex
 
 from cgtorch.ground.errors import RobotError, RunError
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import graspable, load_robot, load_urdf
+from cgtorch.tabletop.kinematics.description import Arm
 from cgtorch.tabletop.kinematics.urdf import inertial_problem
-from cgtorch.tabletop.robot_folder.make import make_robot_folder
+from cgtorch.tabletop.robot_folder import make
+from cgtorch.tabletop.robot_folder.make import (
+    ARMS,
+    AXIS,
+    BODY,
+    REST,
+    _at_home,
+    _with_semantics,
+    make_robot_folder,
+    robot_picture,
+)
 from cgtorch.tabletop.robot_folder.proposal import Wishes
+from cgtorch.tabletop.robot_folder.srdf import Semantics
 from cgtorch.tabletop.settings import TabletopSettings
 
 
@@ -115,3 +129,83 @@ def test_nothing_is_left_where_it_fails(urdf, tmp_path):
     with pytest.raises(RobotError, match=r"palm\.stl"):
         make_robot_folder(urdf, tmp_path / "mine")
     assert listing(tmp_path) == ["ws"]
+
+
+def test_a_picture_shows_arms_footprint_and_tools_from_three_sides(monkeypatch):
+    drawn = []
+
+    class Canvas:
+        def __init__(self, figure):
+            drawn.append(figure)
+
+        def print_png(self, file):
+            file.write(b"drawn")
+
+    monkeypatch.setattr(make, "FigureCanvasAgg", Canvas)
+    robot = load_robot()
+    assert robot_picture(robot) == b"drawn"
+    right, front, above = drawn[0].axes
+    assert drawn[0].get_suptitle() == "PR2"
+    for axes, view, names in (
+        (right, "from the right", "xz"), (front, "from the front", "yz"),
+        (above, "from above", "xy"),
+    ):  # fmt: skip
+        assert axes.get_title() == view
+        assert (axes.get_xlabel(), axes.get_ylabel()) == tuple(f"{name} [m]" for name in names)
+        assert axes.get_aspect() == 1
+        colours = {to_hex(patch.get_facecolor()) for patch in axes.patches}
+        assert colours == {REST, BODY, *ARMS[:2]}
+        assert {patch.get_alpha() for patch in axes.patches} == {0.35}
+        assert {patch.get_linewidth() for patch in axes.patches} == {1}
+        assert [line.get_linewidth() for line in axes.lines] == [1, *[2] * 3 * len(robot.arms)]
+    x0, x1, y0, y1 = robot.description.footprint
+    ring = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]
+    assert above.lines[0].get_xydata().tolist() == ring
+    assert set(right.lines[0].get_ydata().tolist()) == {0.0}
+    model = robot.urdf.model
+    after = model.cfg.copy()
+    model.update_cfg(robot.description.held)
+    np.testing.assert_array_equal(model.cfg, after)
+    model.update_cfg(_at_home(robot))
+    pose = model.get_transform(robot.description.arms[0].tool_frame, robot.description.base_frame)
+    model.update_cfg(robot.description.held)
+    for axis, colour in enumerate(("red", "green", "blue")):
+        line = above.lines[1 + axis]
+        assert line.get_color() == colour
+        ends = pose[:2, 3], pose[:2, 3] + AXIS * pose[:2, axis]
+        np.testing.assert_allclose(line.get_xydata(), ends, atol=1e-9)
+
+
+def test_corners_are_those_of_meshes_of_links_that_collide_as_nothing_else():
+    mesh, box = (SimpleNamespace(geometry=SimpleNamespace(mesh=m)) for m in ("a.stl", None))
+    links = {"one": [mesh, mesh], "two": [mesh, box]}
+    urdf = SimpleNamespace(link=lambda name: SimpleNamespace(collisions=links[name]))
+    fit = SimpleNamespace(corners=np.array([[1.0, 2.0, 3.0]]))
+    turned = np.array([[0.0, -1, 0, 10], [1, 0, 0, 20], [0, 0, 1, 30], [0, 0, 0, 1]])
+
+    def found(link, kind="collision", fitted=fit):
+        return SimpleNamespace(link=link, kind=kind, fit=fitted, pose=turned)
+
+    meshes = (
+        found("one"), found("one"), found("two"), found("one", "visual"), found("one", fitted=None)
+    )  # fmt: skip
+    corners = make._corners(urdf, meshes)
+    assert corners.keys() == {"one"}
+    assert [each.tolist() for each in corners["one"]] == [[[8, 21, 33]]] * 2
+
+
+def test_what_an_srdf_says_yields_to_wishes():
+    arm, other = Arm("a", "base", "tip"), Arm("b", "base", "end")
+    said = Semantics((arm,), {"j": 0.1}, {"f": 0.2, "g": 0.3}, (("p", "q"),))
+    plain = _with_semantics(Wishes(stand=0.5), said)
+    assert (plain.groups, plain.home, plain.held) == ((arm,), {"j": 0.1}, {"f": 0.2, "g": 0.3})
+    assert (plain.excludes, plain.stand) == ((("p", "q"),), 0.5)
+    wished = Wishes(home={"j": 1.0}, held={"f": 2.0}, excludes=(("r", "s"),))
+    both = _with_semantics(wished, said)
+    assert (both.home, both.held) == ({"j": 1.0}, {"f": 2.0, "g": 0.3})
+    assert both.excludes == (("r", "s"),)
+    named = _with_semantics(Wishes(arms=(other,)), said)
+    assert named == Wishes(arms=(other,), excludes=(("p", "q"),))
+    assert _with_semantics(Wishes(arms=(other,), excludes=(("r", "s"),)), said).excludes == (
+        ("r", "s"),
+    )

@@ -1,15 +1,27 @@
 """What is proposed of a robot: the built-in ones as they are described, and those made for it."""
 
+from types import SimpleNamespace
+
 import mesh_robot
 import numpy as np
 import pytest
-from small_urdfs import box, chain
+from small_urdfs import box, chain, joint, link, urdf_of
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_robot, load_urdf, robots_folder
 from cgtorch.tabletop.kinematics.description import Arm
 from cgtorch.tabletop.kinematics.fitted import without_meshes
-from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
+from cgtorch.tabletop.robot_folder.proposal import (
+    Wishes,
+    _body,
+    _chains,
+    _footprint,
+    _names,
+    _side,
+    _torso_position,
+    propose,
+)
+from cgtorch.tabletop.robot_folder.structure import Structure
 
 
 def proposed(text, tmp_path, wishes=None):
@@ -92,14 +104,14 @@ def test_the_tool_frame_lies_between_the_finger_tips(tmp_path):
 WISHES = Wishes(
     name="mine", base_frame="base_link", footprint=(-1.0, 1.0, -0.5, 0.5), torso_joint="",
     arms=(Arm("one", "torso_link", "hand_link"),), body=("base_link",), held={"torso_joint": 0.1},
-    home={"pan_joint": 0.5},
+    home={"pan_joint": 0.5}, excludes=(("base_link", "hand_link"),),
 )  # fmt: skip
 
 
 def test_every_wish_comes_first(tmp_path):
     plain, _ = without_meshes(load_urdf(mesh_robot.write_package(tmp_path)))
     words = propose(plain, WISHES).words
-    for name in ("name", "base_frame", "footprint", "arms", "body", "home"):
+    for name in ("name", "base_frame", "footprint", "arms", "body", "home", "excludes"):
         assert getattr(words, name) == getattr(WISHES, name)
     assert (words.torso_joint, words.torso_position) == (None, None)
     assert words.gripper_joints["torso_joint"] == 0.1
@@ -130,3 +142,109 @@ def test_a_footprint_of_a_point_has_some_size(tmp_path):
     x0, x1, y0, y1 = proposed(text, tmp_path).words.footprint
     assert x1 - x0 >= 0.01
     assert y1 - y0 >= 0.01
+
+
+def parts_of(tmp_path, *parts):
+    """The structure of a robot of such parts, and the chain of its joints below each first link."""
+    urdf = load_urdf(urdf_of(tmp_path, *parts))
+    structure = Structure(urdf, urdf.model.base_link)
+    return structure, lambda first: [urdf.joint(f"{first}_joint")]
+
+
+@pytest.mark.parametrize(
+    ("link_name", "side"),
+    [
+        ("LeftArm", "left"), ("l_elbow", "left"), ("elbow_r", "right"), ("RElbow", "right"),
+        ("left_of_right", ""), ("lift", ""), ("relay", ""), ("base", ""),
+    ],
+)  # fmt: skip
+def test_a_side_is_a_word_of_a_name(link_name, side):
+    assert _side(link_name) == side
+
+
+def test_arms_are_named_by_where_they_are_or_numbered(tmp_path):
+    arms = [chain(name, 1, "base", first=f"0 {y} 1") for name, y in (("p", 0.3), ("q", -0.3))]
+    third = chain("s", 1, "base", first="0 0.1 1")
+    structure, first = parts_of(tmp_path, link("base"), *arms, third)
+    one, other, more = first("p0"), first("q0"), first("s0")
+    assert _names(structure, [one]) == ["arm"]
+    assert _names(structure, [one, other]) == ["left", "right"]
+    assert _names(structure, [other, one]) == ["right", "left"]
+    assert _names(structure, [one, more]) == ["arm-1", "arm-2"]
+    assert _names(structure, [one, other, more]) == ["arm-1", "arm-2", "arm-3"]
+
+
+@pytest.mark.parametrize(("at", "position"), [(1.0, -0.1), (3.0, -0.9), (-1.0, 0.9)])
+def test_a_torso_holds_its_arms_a_metre_high_and_keeps_from_its_ends(tmp_path, at, position):
+    lift = link("lift") + joint("lift", "base", f"0 0 {at}", "0 0 1", "prismatic")
+    arm = chain("arm", 2, "lift", first="0 0 0.1") + chain("high", 2, "lift", first="0 0 0.5")
+    structure, first = parts_of(tmp_path, link("base"), lift, arm)
+    chains = [first("high0"), first("arm0")]
+    found = _torso_position(structure, structure.urdf.joint("lift_joint"), chains)
+    assert found == position
+
+
+def test_a_footprint_is_around_what_is_low_in_full_millimetres(tmp_path):
+    low, wide = box("0.2004 0.1 0.2", "0 0 0.1"), box("1 2 0.1", "0 0 0.6")
+    structure, _ = parts_of(tmp_path, link("base", low + wide), chain("a", 1, "base", first=FRONT))
+    notes = []
+    assert _footprint(structure, {"a0"}, notes) == (-0.101, 0.101, -0.05, 0.05)
+    assert _footprint(structure, set(), notes)[1] == 0.225  # as the arm begins low as well
+    structure, _ = parts_of(tmp_path, link("base", wide))
+    assert _footprint(structure, set(), notes) == (-0.5, 0.5, -1.0, 1.0)
+    assert notes == []
+    structure, _ = parts_of(tmp_path, link("base", ""))
+    assert _footprint(structure, set(), notes) == (-0.1, 0.1, -0.1, 0.1)
+    assert "nothing but arms collides" in notes[0]
+
+
+def test_the_body_is_what_is_high_enough_for_an_arm(tmp_path):
+    parts = (
+        link("base", box("0.2 0.2 0.2", "0 0 0.1")), link("mast", box("0.1 0.1 1")),
+        joint("mast", "base", "0 0 0.5"), link("arm"), joint("arm", "base", "0 0 0.5"),
+        link("bare", ""), joint("bare", "base", "0 0 1"),
+    )  # fmt: skip
+    structure, _ = parts_of(tmp_path, *parts)
+    assert _body(structure, {"arm"}) == ("mast",)
+
+
+def test_what_moves_all_hands_or_lifts_them_is_the_torso(tmp_path):
+    lift = link("lift") + joint("lift", "base", "0 0 1", "0 0 1", "prismatic")
+    arms = [chain(name, 6, "lift", first=f"0 {y} 0.1") for name, y in (("p", 0.3), ("q", -0.3))]
+    structure, _ = parts_of(tmp_path, link("base"), lift, *arms)
+
+    def found(*hands):
+        shared, own = _chains(structure, list(hands))
+        return [each.name for each in shared], [[each.name for each in one] for one in own]
+
+    one, other = ([f"{name}{i}_joint" for i in range(6)] for name in "pq")
+    assert found("p5", "q5") == (["lift_joint"], [one, other])
+    assert found("p5") == (["lift_joint"], [one])
+    assert found("p3") == ([], [["lift_joint", *one[:4]]])  # which needs the lift
+    assert found("p5", "p3") == (["lift_joint", *one[:4]], [one[4:], []])
+
+
+@pytest.mark.parametrize("other", [("base", "p3"), ("base", "p1"), ("base", "base")])
+def test_an_arm_without_joints_of_its_own_is_named(tmp_path, other):
+    text = "".join((link("base", box("0.3 0.3 1", "0 0 0.5")), chain("p", 4, "base", first=FRONT)))
+    wish = Wishes(arms=(Arm("whole", "base", "p3"), Arm("part", *other)))
+    with pytest.raises(RobotError, match=rf"no joints of its own between 'base' and '{other[1]}'"):
+        proposed(f'<robot name="x">{text}</robot>', tmp_path, wish)
+    alone = Wishes(arms=(Arm("whole", "base", "base"),))
+    with pytest.raises(RobotError, match="arm 'whole' has no joints of its own"):
+        proposed(f'<robot name="x">{text}</robot>', tmp_path, alone)
+
+
+def test_a_tool_frame_has_a_name_of_its_own_and_one_arm_is_no_others(tmp_path):
+    taken = link("arm_tool_frame", "") + joint(
+        "arm_tool_frame", "base", "0 0 2", kind="fixed", more=""
+    )
+    base = link("base", box("0.3 0.3 1", "0 0 0.5"))
+    text = "".join((base, taken, chain("arm", 6, "base", first="0.2 0 0.5")))
+    found = proposed(f'<robot name="x">{text}</robot>', tmp_path)
+    assert found.words.arms == (Arm("arm", "base", "arm_tool_frame_added"),)
+    assert not any(note.startswith("no arms") for note in found.notes)
+
+
+def test_a_torso_that_turns_without_end_stays():
+    assert _torso_position(None, SimpleNamespace(type="continuous"), []) == 0.0

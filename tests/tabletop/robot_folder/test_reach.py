@@ -5,13 +5,29 @@ import math
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mesh_robot
 import pytest
+import torch
+from torch import Tensor
 
 from cgtorch.tabletop.kinematics import Robot, graspable, load_robot
+from cgtorch.tabletop.robot_folder import reach
 from cgtorch.tabletop.robot_folder.make import make_robot_folder
-from cgtorch.tabletop.robot_folder.reach import AHEAD, _objects, reached
+from cgtorch.tabletop.robot_folder.reach import (
+    AHEAD,
+    ASIDE,
+    DEPTHS,
+    HEIGHT,
+    OTHERS,
+    _better,
+    _better_height,
+    _hindered,
+    _objects,
+    reached,
+)
 
 LENGTH = 0.1 + 0.4 + 0.32 + 0.17  # m: the arm of `mesh_robot`, and its tool frame before the hand
 PAN = 0.3  # m: the first joint above the link that carries it
@@ -119,3 +135,75 @@ def test_where_no_height_helps_it_is_told_what_hinders_at_the_one_of_the_shoulde
     assert counts is not None, found.why
     posed, clear, follows = map(int, counts.groups())
     assert 225 >= posed >= clear >= follows > 0
+
+
+ROBOT: Any = SimpleNamespace(
+    arms=[SimpleNamespace(name="left"), SimpleNamespace(name="right")],
+    description=SimpleNamespace(footprint=(-0.3, 0.3, -0.2, 0.2)),
+)
+"""One of which no kinematics are asked."""
+
+
+@pytest.mark.parametrize(
+    ("came", "told"),
+    [
+        ((0, 0, 0), "no posture within the limits of the joints brings the tool frame to an obj"),
+        ((5, 0, 0), "posture at 5 of 225 approaches at 0.6 m, but all touch the table or the ro"),
+        ((5, 3, 0), "0.6 m, clear ones at 3, but from none of these it can move 0.10 m back"),
+        ((5, 3, 2), "clear ones at 3, and follows 2 of them, but no clear way leads there from"),
+    ],
+)
+def test_what_hinders_is_what_no_approach_gets_beyond(
+    came: tuple[int, int, int], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reach, "_progress", lambda *about: came)
+    said = _hindered(ROBOT, 1, 0.6)
+    assert told in said
+    assert said.startswith("arm 'right' has a posture" if came[0] else "no posture")
+
+
+def test_a_table_may_become_higher_and_lower_ones_are_a_stand() -> None:
+    assert _better(0.9, 4, 0.1).endswith("it can grasp 4 of 9, so make tables of that height")
+    assert _better(0.45, 2, 0.1).endswith("height, or put it on a stand by --stand 0.4")
+
+
+def graspable_at(*heights: float) -> Any:
+    """What says that objects on tables of these heights are grasped, and one aside at others."""
+
+    def found(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
+        assert (position[:, 2] == table[:, 5]).all()
+        near = (table[:, 5:] - torch.tensor(heights)).abs().amin(1) < 1e-6
+        aside = position[:, 1] == torch.tensor(ASIDE[2])
+        return near | (aside & (position[:, 0] > 0.3 + AHEAD + DEPTHS[0] + 0.01))
+
+    return found
+
+
+def test_a_better_height_is_that_of_most_objects(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reach, "graspable", graspable_at(0.45))
+    assert _better_height(ROBOT) == 0.45
+    monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] < 0)
+    assert _better_height(ROBOT) is None
+
+
+@pytest.mark.parametrize("far", [0.5, 0.0])
+def test_the_nearest_arm_is_told_of_and_what_suits_it(
+    far: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lacks = [(0.7, "the left one", 0.3), (far, "the right one", 1.0)]
+    monkeypatch.setattr(reach, "_lacking", lambda robot, number: lacks[number])
+    monkeypatch.setattr(reach, "_hindered", lambda robot, *about: f"hindered {about}")
+    monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] == 0.6)
+    monkeypatch.setattr(reach, "_better_height", lambda robot: None)
+    found = reached(ROBOT)
+    assert found.grasps.tolist() == [False] * 9
+    heights = f"{min(OTHERS):g} to {max(OTHERS):g} m"
+    assert found.why == (
+        f"the right one; nor can it at any height from {heights}; hindered (1, 0.9)"
+    )
+    monkeypatch.setattr(reach, "_better_height", lambda robot: 0.6)
+    why = "" if far else f"; hindered (1, {HEIGHT})"
+    stand = "at 0.6 m it can grasp 9 of 9, so make tables of that height, or put it on a stand by"
+    table = torch.tensor(0.6)
+    monkeypatch.setattr(reach, "graspable", lambda robot, position, of: of[:, 5] == table)
+    assert reached(ROBOT, 0.2).why == f"the right one{why}; {stand} --stand 0.35"

@@ -1,5 +1,7 @@
 """What an SRDF says of a robot: arms, states and pairs that never collide; and broken ones."""
 
+from types import SimpleNamespace
+
 import pytest
 from small_urdfs import box, chain, fingers, joint, link, urdf_of
 
@@ -8,7 +10,7 @@ from cgtorch.tabletop.kinematics import load_robot, load_urdf
 from cgtorch.tabletop.kinematics.clear_ways import OWN
 from cgtorch.tabletop.kinematics.description import Arm
 from cgtorch.tabletop.robot_folder.make import make_robot_folder
-from cgtorch.tabletop.robot_folder.srdf import read_srdf
+from cgtorch.tabletop.robot_folder.srdf import _within, read_srdf
 
 BASE = link("base", box("0.3 0.3 1", "0 0 0.5"))
 ROBOT = (
@@ -77,8 +79,24 @@ def test_states_are_home_and_open_fingers_within_limits(tmp_path):
                  state("open", "hand", hand_a=0.25, hand_b=7, arm0=0.1))  # fmt: skip
     assert found.home == {f"{name}_joint": 0.5 for name in NAMES}
     assert found.opened == {"hand_a_joint": 0.25}
+    ready = state("ready", "arm", **home)
+    assert read(tmp_path, arm, ready).home == found.home
+    assert read(tmp_path, arm, state("opened", "hand", hand_a=0.25)).opened == found.opened
+    first = state("home", "arm", **dict.fromkeys(NAMES, 0.2))
+    assert set(read(tmp_path, arm, ready, first).home.values()) == {0.2}
+    assert f"home is that of SRDF '{tmp_path / 'robot.srdf'}'" in found.notes
     for wrong in (3, "nan", "x"):  # beyond a limit, or no number: home is incomplete
         assert read(tmp_path, arm, state("home", "arm", **{**home, "arm3": wrong})).home == {}
+
+
+def test_positions_are_within_limits_if_there_are_any():
+    turning = SimpleNamespace(type="continuous")
+    assert [_within(turning, at) for at in (1e9, -1e9, float("inf"), float("nan"))] == [
+        True, True, False, False,
+    ]  # fmt: skip
+    limited = SimpleNamespace(type="revolute", limit=SimpleNamespace(lower=-1.0, upper=2.0))
+    found = [_within(limited, at) for at in (-1.0, 2.0, -1.1, 2.1, float("nan"))]
+    assert found == [True, True, False, False, False]
 
 
 def test_what_the_urdf_lacks_is_left_out_and_told(tmp_path):

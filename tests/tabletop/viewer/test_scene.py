@@ -19,6 +19,7 @@ from cgtorch.graphs import Skill
 from cgtorch.ground.errors import DataError
 from cgtorch.runs.chosen import last_skill
 from cgtorch.tabletop.kinematics import Robot, load_robot, robots_folder
+from cgtorch.tabletop.viewer import scene as scenes
 from cgtorch.tabletop.viewer.execution import Execution, execute, scenario_of
 from cgtorch.tabletop.viewer.scene import (
     LIT,
@@ -128,6 +129,15 @@ def test_every_level_is_drawn_and_its_node_and_the_edge_of_the_outcome_are_lit()
     assert 1 < deepest <= run.skill.depth
 
 
+def test_only_the_innermost_level_is_drawn_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    large = list[bool]()
+    monkeypatch.setattr(scenes, "_picture", lambda skill, inner, last: large.append(last))
+    deepest = max((s for run in executions() for s in run.steps), key=lambda s: len(s.places))
+    levels_html(executions()[0].skill, deepest)
+    assert large == [False] * (len(deepest.places) - 1) + [True]
+    assert len(large) > 1
+
+
 def test_names_that_look_like_markup_stay_names() -> None:
     name = 'S<img src=x>"]</style><b>\\'
     run = execute(random_skill(3, name, custom_actions()), world(3, 1))
@@ -159,6 +169,7 @@ def test_every_number_of_a_percept_has_a_name(size: int, names: list[str]) -> No
 
 def test_messages() -> None:
     assert message_rows(torch.full((3,), float("nan"))) == []
+    assert message_rows(torch.tensor([0.5, float("nan"), 0.25])) == []
     values = ("dx", "+0.500 m"), ("dy", "-1.000 m"), ("dθ", "+0.250 rad"), ("3", "+2.000")
     assert message_rows(torch.tensor([0.5, -1.0, 0.25, 2.0])) == [*values]
 
@@ -173,7 +184,8 @@ def test_what_is_shown_is_of_the_step_and_safe_as_html() -> None:
         text = readings_html(line, frame)
         assert "<b>: " not in text
         assert "&lt;b&gt; ·" in text
-        for name, value in percept_rows(run.percept[int(line.seen[frame])]):
+        said = percept_rows(run.percept[int(line.seen[frame])]) + message_rows(run.message[k + 1])
+        for name, value in said:
             assert f">{name}<" in text
             assert f">{value}<" in text
     assert headline(line, len(line) - 1).endswith(f"<b> ended with {run.end}")

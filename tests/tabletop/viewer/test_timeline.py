@@ -1,17 +1,21 @@
 """Pictures in time: those of the kinematic world, and those of what is simulated in physics."""
 
 from functools import cache
+from math import pi
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from cgtorch.graphs import Graphs, Skill
+from cgtorch.graphs import Graphs, Skill, Step
 from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.stored_run import StoredRun
-from cgtorch.tabletop.actions import paper_actions
+from cgtorch.tabletop.actions import Detect, Grasp, paper_actions
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import clear_ways
 from cgtorch.tabletop.kinematics.clear_ways import POSTURE
@@ -23,11 +27,21 @@ from cgtorch.tabletop.viewer.execution import execute
 from cgtorch.tabletop.viewer.timeline import (
     DRIVE,
     FPS,
+    LOOK,
+    REST,
     SWING,
+    THINK,
     TURN,
     Recorder,
     Timeline,
+    _count,
+    _drive,
+    _line,
+    _upwards,
+    contacts_of,
     joint_names,
+    laid_out,
+    seconds_of,
     simulated_timeline,
     timeline_of,
 )
@@ -94,6 +108,7 @@ def test_nothing_jumps(number: int) -> None:
     assert not (driven * turned > 1e-6).any()  # it drives straight, then turns
     assert float(one.joints.diff(dim=0).abs().max()) <= 1.5 * SWING / FPS
     assert float(lifted.max()) <= 0.03
+    assert one.turned.unique(dim=0).tolist() == [[1, 0, 0, 0]]
 
 
 def tool_at(one: Timeline, frame: int, which: int) -> Tensor:
@@ -113,6 +128,8 @@ def test_the_arm_really_reaches_and_lifts_the_object(number: int) -> None:
     assert one.execution.end == "success"
     moved = (one.object[:, 2] > one.object[0, 2] + 1e-4).nonzero()[:, 0]
     up = torch.tensor([0.0, 0.0, GRASP_HEIGHT])
+    first = one.start_of(len(one.execution.steps) - 1)
+    assert torch.equal(one.joints[first], one.joints[0])  # at home, where the arm's way begins
     for frame in (int(moved[0]) - 1, int(moved[len(moved) // 2]), len(one) - 1):
         away = [float((tool_at(one, frame, i) - one.object[frame] - up).norm()) for i in (0, 1)]
         assert min(away) < 0.01, (frame, away)
@@ -209,3 +226,81 @@ def test_a_base_that_bumps_is_marked() -> None:
 def test_an_action_that_drives_twice_has_all_pictures() -> None:
     once, twice = [-0.85, 0.0, 0.0], [-1.05, 0.0, 0.0]
     assert len(seen("drive", once, twice)[0]) > 1.5 * len(seen("drive", once)[0])
+
+
+def test_a_line_ends_in_its_end_and_begins_after_its_start() -> None:
+    assert [_count(seconds) for seconds in (0.0, 0.12, 1.0)] == [1, round(0.12 * FPS), FPS]
+    start, end = torch.tensor([1.0, 0.0]), torch.tensor([3.0, -4.0])
+    assert _line(start, end, 4 / FPS).tolist() == [[1.5, -1], [2, -2], [2.5, -3], [3, -4]]
+    here = torch.tensor([1.0, 2.0, 3.0])
+    assert _drive(here, here).tolist() == [[1, 2, 3]]
+    turned = _drive(here, torch.tensor([1.0, 2.0, 3.0 - TURN]))
+    assert len(turned) == 1 + FPS
+    assert turned[-1].tolist() == pytest.approx([1, 2, 3 - TURN])
+    there = _drive(here, torch.tensor([1.0 + DRIVE, 2.0, 3.0 + 2 * pi]))
+    assert len(there) == FPS + 1
+    assert there[0].tolist() == pytest.approx([1 + DRIVE / FPS, 2, 3])
+
+
+def test_what_moves_nothing_lasts_as_long_as_it_takes_to_look_or_to_think() -> None:
+    assert [seconds_of(action) for action in (Detect(), Grasp(), Step(3))] == [LOOK, LOOK, THINK]
+
+
+def test_the_last_picture_is_shown_for_a_while() -> None:
+    pieces = [torch.arange(11.0).expand(2, 11), torch.ones(3, 11)]
+    touched = torch.tensor([[1.0, 2.0, 3.0, 0.0]])
+    line = laid_out(SimpleNamespace(), ("a",), pieces, [touched])  # type: ignore[arg-type]
+    assert len(line) == 5 + round(REST * FPS)
+    assert line.step.tolist() == [0, 0, *[1] * (3 + round(REST * FPS))]
+    assert line.seen.tolist() == [0, 1, 1, 1, *[2] * (1 + round(REST * FPS))]
+    assert (line.pose[0].tolist(), line.object[0].tolist()) == ([0, 1, 2], [3, 4, 5])
+    assert (line.turned[0].tolist(), line.joints[0].tolist()) == ([6, 7, 8, 9], [10])
+    assert line.pose[-1].tolist() == [1, 1, 1]
+    assert [len(points) for points in line.contacts] == [1, *[0] * (len(line) - 1)]
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "up"),
+    [
+        ([1, 0, 0, 0], [0, 0, 1]), ([0.5**0.5, 0.5**0.5, 0, 0], [0, -1, 0]),
+        ([0.5**0.5, 0, 0.5**0.5, 0], [1, 0, 0]), ([0.5**0.5, 0, 0, 0.5**0.5], [0, 0, 1]),
+        ([0.5, 0.5, 0.5, 0.5], [1, 0, 0]), ([0.5, -0.5, 0.5, 0.5], [0, 1, 0]),
+    ],
+)  # fmt: skip
+def test_upwards_is_where_a_turned_object_s_axis_leads(
+    quaternion: list[float], up: list[float]
+) -> None:
+    assert _upwards(torch.tensor(quaternion)).tolist() == pytest.approx(up, abs=1e-6)
+
+
+@pytest.mark.parametrize("arm", [True, False])
+def test_contacts_are_wrong_where_the_arm_touches_or_the_base_bumps(arm: bool) -> None:
+    """Geoms are floor, arm, object and table."""
+    touching, bumping = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
+    touching[1, 3], bumping[1, 2], bumping[1, 3] = True, True, True
+    contact = SimpleNamespace(
+        geom=np.array([[1, 3], [1, 2], [0, 2], [1, 3]]), dist=np.array([-0.1, -0.1, -0.1, 0.0]),
+        pos=np.arange(12.0).reshape(4, 3),
+    )  # fmt: skip
+    parts: dict[str, Any] = {"touching": touching, "bumping": bumping, "arm": ("a",) if arm else ()}
+    model: Any = SimpleNamespace(data=SimpleNamespace(contact=contact), **parts)
+    assert contacts_of(model).tolist() == [[0, 1, 2, 1], [3, 4, 5, 0 if arm else 1]]
+    contact.dist = np.zeros(0)
+    assert contacts_of(model).shape == (0, 4)
+
+
+def test_pictures_are_taken_at_equal_times_of_each_simulation() -> None:
+    recorder = Recorder(opened()[0].domain.robot)
+
+    def taken(model: Any) -> float:
+        return float(model.data.time)
+
+    with patch.object(recorder, "_seen", taken):
+        for seconds in (0.0, 0.3 / FPS, 1 / FPS, 1.1 / FPS, 2 / FPS, 0.0, 1 / FPS, 1.5 / FPS):
+            recorder(SimpleNamespace(data=SimpleNamespace(time=seconds)))  # type: ignore[arg-type]
+        recorder.end_step()
+        recorder.end_step()
+        recorder(SimpleNamespace(data=SimpleNamespace(time=0.0)))  # type: ignore[arg-type]
+        recorder.end_step()
+    ticks: list[Any] = [0.0, 1 / FPS, 2 / FPS, 0.0, 1 / FPS, 1.5 / FPS]
+    assert recorder.steps == [ticks, [], [0.0, 0.0]]

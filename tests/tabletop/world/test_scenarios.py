@@ -14,6 +14,7 @@ from cgtorch.tabletop.world import (
     random_scenarios,
     stage_scenarios,
 )
+from cgtorch.tabletop.world.scenarios import CORNER, _along_an_edge
 
 COUNT = 4000
 
@@ -144,3 +145,13 @@ def test_trials_meet_other_noise() -> None:
     assert len(set(seeds.tolist())) == 120
     first = [first_percepts(world_of(scenarios.with_noise(i))) for i in range(2)]
     assert 0 < float((first[0] - first[1]).abs().max()) < 0.06
+
+
+def test_a_longer_edge_has_more_of_the_objects() -> None:
+    """Of a table of 0.6 m by 1.4 m, seven of ten are along the longer edges."""
+    pick = torch.tensor([0.1, 0.65, 0.75, 0.95])
+    along, inset = torch.tensor([1.0, -0.5, 1.0, -0.5]), torch.full((4,), 0.1)
+    found = _along_an_edge(torch.tensor([0.6, 1.4]).expand(4, 2), pick, along, inset)
+    long, short = 0.7 - CORNER, 0.3 - CORNER
+    wanted = [[-0.2, long], [0.2, -long / 2], [short, -0.6], [-short / 2, 0.6]]
+    torch.testing.assert_close(found, torch.tensor(wanted))

@@ -12,7 +12,15 @@ from shapely import Polygon, affinity, box, distance, union_all
 from support import FOOTPRINT
 from torch import Tensor
 
-from cgtorch.tabletop.world.clear_motion import TURN_STEP, sweep_blocked
+from cgtorch.native import function
+from cgtorch.tabletop.world import clear_motion
+from cgtorch.tabletop.world.clear_motion import (
+    MAX_TRANSLATION,
+    TURN_STEP,
+    motion_possible,
+    motion_possible_in_torch,
+    sweep_blocked,
+)
 
 metres = st.floats(-2, 2)
 angles = st.floats(-2 * math.pi, 2 * math.pi)
@@ -110,3 +118,44 @@ def test_a_turn_is_made_the_short_way() -> None:
     for degrees, wanted in ((350, False), (-10, False), (370, False), (45, True), (405, True)):
         motion = tensor((0.0, 0.0, math.radians(degrees)))
         assert sweep_blocked(motion, table, BODY).item() is wanted
+
+
+def test_a_motion_may_be_as_long_as_the_longest_and_has_to_be_finite() -> None:
+    nothing, nan = torch.zeros(1, 5).double(), math.nan
+    far = MAX_TRANSLATION
+    motion = tensor((far, 0, 0), (far + 1e-6, 0, 0), (0, -far, 9), (nan, 0, 0), (0, 0, nan))
+    things = nothing.expand(5, 5)
+    for found in (
+        motion_possible(motion, things, BODY),
+        motion_possible_in_torch(motion, things[:, None], BODY),
+    ):
+        assert found.tolist() == [True, False, True, False, False]
+    further = motion_possible_in_torch(motion, things[:, None], BODY, math.inf)
+    assert further.tolist() == [True, True, True, False, False]
+
+
+def test_torch_and_compiled_code_agree() -> None:
+    draw = torch.rand(3000, 2, 8, generator=torch.Generator().manual_seed(0)).double()
+    things = torch.cat([4 * draw[..., :2] - 2, 7 * draw[..., 2:3] - 3.5, draw[..., 3:5]], 2)
+    things[::7, 1] = 0.0  # which is absent
+    motion = 2 * draw[:, 0, 5:] - 1
+    motion[:, 2] *= 6.5
+    motion[::3, 2] = 0.0
+    found = motion_possible_in_torch(motion, things, BODY)
+    assert torch.equal(found, motion_possible(motion, things, BODY))
+    assert 500 < int(found.sum()) < 2500
+
+
+def test_compiled_code_answers_where_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = list[str]()
+
+    def noted(name: str, dtype: torch.dtype) -> object:
+        asked.append(name)
+        return function(name, dtype)
+
+    monkeypatch.setattr(clear_motion, "function", noted)
+    motion, things = tensor((1.0, 0, 0)), tensor((1.0, 0, 0, 0.2, 0.2))
+    assert motion_possible(motion, things, BODY).tolist() == [False]
+    assert asked == ["motions_possible"]
+    assert motion_possible(motion.requires_grad_(), things, BODY).tolist() == [False]
+    assert len(asked) == 1

@@ -270,3 +270,18 @@ def test_a_percept_may_tell_the_tables_yaw() -> None:
 def test_other_percepts_are_unknown() -> None:
     with pytest.raises(SettingsError, match="percept is 'photo'; use one of box, yaw"):
         TabletopWorld(stage_scenarios("near"), graspable, FOOTPRINT, percept="photo")
+
+
+def test_each_look_has_noise_of_its_own_that_adds_to_what_is_there() -> None:
+    scenes = random_scenarios("near", 4, seeded(0))
+    environment = TabletopWorld(scenes, graspable, FOOTPRINT, Noise(0.01, 0.02), looks=3)
+    lanes = lanes_of(environment)
+    exact = percept_of(scenes.pose, scenes.table, scenes.object)
+    for look in (0, 1, 2, 0):  # then they come again
+        torch.testing.assert_close(lanes.percept, exact + environment.blur[:, look])
+        lanes = environment.observe(lanes)
+    assert environment.blur.std() == pytest.approx(0.01, rel=0.3)
+    drift = environment.drift.std((0, 1))
+    assert drift.tolist() == pytest.approx([0.01, 0.01, 0.02], rel=0.9)
+    assert (LAB_NOISE.position, LAB_NOISE.heading) == (0.005, pytest.approx(math.radians(0.5)))
+    assert LAB_NOISE.repeats
