@@ -32,6 +32,7 @@ typedef struct { int a[3]; } A;
 /* a < b */
 static int f(const A *a, int n) {
   int most = 0;
+  const int *room[4][2], other[3];
   for (int i = 0; i < n; i++) {
     if (!a->a[i] && n >= 2) continue;
     most += a->a[i] * 1.5;

@@ -29,9 +29,10 @@ def closest(root: Path, file: str, line: int, recorded: Recorded, budget: float)
         near, far = folders(root, modules), naming(root, modules)
     else:
         functions = made_of(root, file)
-        places, modules = set(functions.values()), callers(root, functions)
-        tests = [name for name in functions if name.startswith("tests")]
-        near, far = [*tests, *of_modules(root, {*modules, file})], naming(root, modules)
+        modules = callers(root, functions)
+        tests = [*of_modules(root, [file]), *(name for name in functions if name[:5] == "tests")]
+        places = {*functions.values(), *((name, 1) for name in tests)}
+        near, far = [*tests, *of_modules(root, modules)], naming(root, modules)
         near, far = ([p for p in ps if not emulates(root / p)] for ps in (near, far))
     far = [path for path in far if path not in near]
     run, read = _ordered([r for path in near for r in recorded(path)], places)

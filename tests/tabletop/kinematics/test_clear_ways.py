@@ -104,10 +104,10 @@ def test_only_moving_solids_come_first_and_neighbours_are_left_out(robot_and_arm
     assert OBJECT in scene.pairs[:, 1]
 
 
-def wall(robot, random_joints):
+def wall(robot, random_joints, rows=400):
     """Ends that are clear on both sides of a table that stands on edge, and no straight way."""
     arm, scene, places, kind, ways = asked(
-        robot, robot.arms[0], random_joints, torch.Generator().manual_seed(8), rows=400, joints=2
+        robot, robot.arms[0], random_joints, torch.Generator().manual_seed(8), rows=rows, joints=2
     )
     ends = torch.stack([robot.home[0].expand_as(ways[:, 1]), ways[:, 1]], 1)
     free = ways_clear(arm, scene, places, kind, ends[:, 1:])
