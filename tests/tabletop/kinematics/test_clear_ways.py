@@ -92,6 +92,20 @@ def test_a_clear_way_has_no_posture_that_touches(robot_and_arm, random_joints, g
             assert bool(alone[clear].all())
 
 
+def test_a_way_that_rests_on_its_way_is_looked_at_where_it_moves(pr2, random_joints):
+    """Before or after the middle, where alone the arm is looked at first."""
+    arm, scene, places, kind, ways = asked(
+        pr2, pr2.arms[1], random_joints, torch.Generator().manual_seed(4), 300, joints=2
+    )
+    a, b = ways.unbind(1)
+    whole = ways_clear(arm, scene, places, kind, ways)
+    at_rest = [ways_clear(arm, scene, places, kind, q[:, None]) for q in (a, b)]
+    assert (at_rest[0] & at_rest[1] & ~whole).any()
+    for way in ((a, a, b), (a, b, b), (a, a, a, b), (a, b, b, b)):
+        assert torch.equal(ways_clear(arm, scene, places, kind, torch.stack(way, 1)), whole)
+    assert torch.equal(ways_clear(arm, scene, places, kind, torch.stack([b, b], 1)), at_rest[1])
+
+
 def test_only_moving_solids_come_first_and_neighbours_are_left_out(robot_and_arm):
     robot, arm = robot_and_arm
     scene = robot.scenes[robot.arms.index(arm)]
