@@ -17,7 +17,10 @@ FACTOR, START = 4, 5.0
 """A test takes too long if it takes this many times its usual time, and seconds more."""
 SLOWER = 3
 """By how much C is slower that is hardly optimised."""
-NOT_COMPILED = 77
+NOT_COMPILED, SAME_CODE = 77, 78
+"""Exit codes, instead of those of tests."""
+SAME = "the same code"
+"""What becomes of a change that the compiler does not notice, or does not see on this CPU."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class Trial:
 
     Attributes:
         mutant: The change.
-        killed: Whether a test noticed it; None if it does not compile, or to the same code.
+        killed: Whether a test noticed it; None if it does not compile, or to the same machine code.
         by: The test, or what else happened.
         tests: Number of tests that were chosen.
     """
@@ -54,7 +57,9 @@ def tried(shop: Workshop, mutant: Mutant, tests: list[Recording]) -> Trial:
         by = f"time, in {by}"
     elif code not in (0, 1):
         by = f"exit code {code}, in {by or 'imports'}"
-    return Trial(mutant, None if code == NOT_COMPILED else code != 0, by, len(tests))
+    if code in (NOT_COMPILED, SAME_CODE):
+        return Trial(mutant, None, SAME if code == SAME_CODE else "no code", len(tests))
+    return Trial(mutant, code != 0, by, len(tests))
 
 
 def _unchanged(shop: Workshop) -> bytes:
@@ -88,8 +93,10 @@ def _compiled(shop: Workshop) -> bytes:
 
 def _run(shop: Workshop, tests: list[Recording], before: bytes, verdict: Path) -> int:
     """The tests' exit code, given the digest of the unchanged libraries where C has changed."""
-    if before and _compiled(shop) in (b"", before):
-        return NOT_COMPILED
+    if before:
+        found = _compiled(shop)
+        if found in (b"", before):
+            return SAME_CODE if found else NOT_COMPILED
     files = sorted({test.test.partition("::")[0] for test in tests})
     chosen = _Chosen(tests, verdict)
     return int(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *files], plugins=[chosen]))
