@@ -60,6 +60,22 @@ def test_the_first_round_takes_a_plain_step_for_each_row(n: int, epsilon: float 
 
 
 @pytest.mark.parametrize("epsilon", [None, 0.05])
+def test_a_round_costs_its_steps_and_what_they_change(epsilon: float | None) -> None:
+    gram, problems = some_problems(21, epsilon)
+    problems = problems.take(torch.tensor([2]))
+    start = at_zero(problems)
+    one = compiled(gram, problems, start, 1e-6, 0.0)
+    steps = next(
+        most for most in range(22)
+        if plain(gram.matrix, problems, start, 0 * ones(1), most).beta.allclose(one.beta)
+    )  # fmt: skip
+    left = int((problems.upper > problems.lower).sum())  # of which all are gathered next
+    cost = 21.0 * (steps + int((one.beta != 0).sum())) + 4 * left**2 - left**2
+    assert torch.equal(compiled(gram, problems, start, 1e-6, cost).beta, one.beta)
+    assert not torch.equal(compiled(gram, problems, start, 1e-6, cost + left).beta, one.beta)
+
+
+@pytest.mark.parametrize("epsilon", [None, 0.05])
 def test_a_round_leaves_half_of_a_tolerance_that_is_nearly_met(epsilon: float | None) -> None:
     gram, problems = some_problems(12, epsilon)
     start = at_zero(problems)
