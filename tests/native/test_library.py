@@ -193,6 +193,6 @@ def test_of_a_wheel_the_fastest_library_is_taken_that_this_cpu_can_run(
     monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: able)
     wanted = found and str(tmp_path / compiler.wheel_file_name("double", found))
     for machine, same in (("AMD64", True), ("x86_64", True), ("aarch64", False)):
-        monkeypatch.setattr(library.platform, "machine", lambda machine=machine: machine)
+        monkeypatch.setattr("platform.machine", lambda machine=machine: machine)
         taken = library._from_wheel("double")
         assert (taken and taken._name) == (wanted if same else None)

@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -118,7 +119,7 @@ def test_only_moving_solids_come_first_and_neighbours_are_left_out(robot_and_arm
     assert OBJECT in scene.pairs[:, 1]
 
 
-def wall(robot, random_joints, rows=400):
+def wall(robot: Any, random_joints: Any, rows: int = 400) -> tuple[Any, ...]:
     """Ends that are clear on both sides of a table that stands on edge, and no straight way."""
     arm, scene, places, kind, ways = asked(
         robot, robot.arms[0], random_joints, torch.Generator().manual_seed(8), rows=rows, joints=2

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -81,7 +82,7 @@ def plan(ends: Tensor, goals: Tensor, clear: Clear, step: float) -> list[Posture
 
 @pytest.mark.parametrize("step", [clear_ways.STEP, 0.25])
 def test_ways_are_those_of_a_plain_planner(
-    pr2, random_joints, step: float, monkeypatch: pytest.MonkeyPatch
+    pr2: Any, random_joints: Any, step: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arm, scene, *about = wall(pr2, random_joints, rows=200)
     places, kind, ends = (each[:4] for each in about)
