@@ -104,3 +104,18 @@ def test_ways_are_those_of_a_plain_planner(
         assert int(count[row]) == len(wanted)
         assert ways[row, : len(wanted)].tolist() == wanted
     assert int(count.max()) > 2
+
+
+def test_a_tree_that_is_full_grows_no_further(
+    pr2: Any, random_joints: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With steps so short that there is no room for all on a way, which is not found then."""
+    arm, scene, *about = wall(pr2, random_joints, rows=200)
+    places, kind, ends = (each[:4] for each in about)
+    key = row_keys(ends[:, 0, :3], ends[:, 1, :6], 1)
+    found = []
+    for step in (0.05, 0.001):
+        monkeypatch.setattr(clear_ways, "STEP", step)
+        _, count = ways_planned(arm, scene, places, kind, ends, key)
+        found.append(int((count > 0).sum()))
+    assert found[0] > found[1] == 0
