@@ -209,3 +209,31 @@ def test_a_chance_of_just_a_half_is_a_failure(offset: float, succeeds: bool) -> 
         assert each is not None
         assert bool((each.succeeded == succeeds).all())
         assert bool((each.timed_out != succeeds).all())
+
+
+class Precise(Path):
+    """A world with states in double precision below percepts in single, and a wall at 1."""
+
+    def first_state(self, scenario: Tensor) -> Tensor:
+        return super().first_state(scenario).double()
+
+    def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        after = super().next_state(state, control.double(), scenario)
+        return torch.where(after[:, :1] > 1, state, after)
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        return super().perceived(state, scenario).float()
+
+
+def test_a_state_of_another_type_that_stays_as_it_is_is_seen() -> None:
+    """Who stands before the wall is in an endless loop, of which the rest is only counted."""
+    actions, walks = walking_actions(), Walks(torch.tensor([0.5, -1.0]), torch.ones(2))
+    graphs = chain(actions, "Aim", "Step", speed=0.25)
+    found, wanted = (
+        way(graphs, actions, Precise(walks), (200, 400)) for way in (waiting, in_torch)
+    )
+    assert found.state.dtype == torch.float64
+    assert found.state[0, :, 0].tolist() == [1.0, 1.0]
+    assert torch.equal(found.state, wanted.state)
+    assert torch.equal(found.transitions, wanted.transitions)
+    assert found.executed <= wanted.executed < 40
