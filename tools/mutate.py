@@ -25,7 +25,7 @@ import click
 from mutants.closest import Recorded, closest
 from mutants.drawn import Mutant, drawn, rooms
 from mutants.recording import make_once, recorded
-from mutants.trials import Trial, tried
+from mutants.trials import SAME, Trial, tried
 from mutants.workshop import Workshop
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -100,6 +100,7 @@ def tried_in(
             tally.equivalent += 1
             continue
         trial = trial_of(shop, mutant, seconds, recordings)
+        tally.equivalent += trial.by == SAME
         if trial.killed is not None:
             tally.trials.append(trial)
             told(tally, trial)

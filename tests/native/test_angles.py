@@ -107,6 +107,17 @@ def test_sines_are_those_of_exact_arithmetic_however_large_the_angle(real, funct
                 assert np.abs(found.astype(float) / wanted - 1)[far].max() < 2.2 * digits
 
 
+def test_angles_next_to_a_quarter_turn_keep_all_digits_of_what_is_left(real, functions):
+    """The numbers of each type that are nearest to a multiple (Muller, Elementary Functions)."""
+    nearest = 16367173 * 2.0**72 if real == "float" else 6381956970095103 * 2.0**797
+    x = np.array([nearest, -nearest, nearest / 2, 2 * nearest] * 4, TYPES[real])
+    with mpmath.workprec(1300):
+        for found, exact in zip(functions.sines(x), (mpmath.sin, mpmath.cos), strict=True):
+            wanted = np.array([float(exact(mpmath.mpf(float(each)))) for each in x])
+            assert np.abs(found / wanted - 1).max() < 2.2 * np.finfo(TYPES[real]).eps
+            assert np.abs(wanted[:2]).min() < 1e-8 or np.abs(wanted[:2]).min() > 0.99
+
+
 def test_angles_are_those_of_numpy(real, functions):
     digits = np.finfo(TYPES[real]).eps
     y, x = spread(real, -6, 6), np.roll(spread(real, -6, 6), 1)

@@ -160,3 +160,39 @@ def test_what_c_writes_to_must_be_contiguous() -> None:
     fields = dict.fromkeys(("action", "edges", "start"), torch.zeros(3, dtype=torch.long))
     with pytest.raises(ValueError, match="not contiguous"):
         structure("Graphs", torch.float32)(**fields, origins=room, nodes=3, outcomes=3)
+
+
+@pytest.mark.parametrize(
+    ("able", "there", "broken", "found"),
+    [
+        ("AVX512", ["AVX512", "AVX2"], [], "AVX512"),
+        ("AVX512", ["AVX2"], [], "AVX2"),
+        ("AVX512", ["AVX2"], ["AVX512"], "AVX2"),
+        ("AVX2", ["AVX512", "AVX2"], [], "AVX2"),
+        ("AVX2", ["AVX512"], [], None),
+        ("AVX2", [], ["AVX2"], None),
+        ("AVX2", [], [], None),
+        ("DEFAULT", ["AVX512", "AVX2"], [], None),
+    ],
+)
+def test_of_a_wheel_the_fastest_library_is_taken_that_this_cpu_can_run(
+    able: str,
+    there: list[str],
+    broken: list[str],
+    found: str | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    own = library._kept("double")
+    assert own is not None
+    for target in there:
+        (tmp_path / compiler.wheel_file_name("double", target)).write_bytes(own.read_bytes())
+    for target in broken:
+        (tmp_path / compiler.wheel_file_name("double", target)).write_text("no library")
+    monkeypatch.setattr(library, "FROM_WHEEL", tmp_path)
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: able)
+    wanted = found and str(tmp_path / compiler.wheel_file_name("double", found))
+    for machine, same in (("AMD64", True), ("x86_64", True), ("aarch64", False)):
+        monkeypatch.setattr("platform.machine", lambda machine=machine: machine)
+        taken = library._from_wheel("double")
+        assert (taken and taken._name) == (wanted if same else None)

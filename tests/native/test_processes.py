@@ -6,9 +6,17 @@ import subprocess
 import sys
 
 import pytest
+import torch
 
+from cgtorch import native
 from cgtorch.ground.errors import DataError, SettingsError
-from cgtorch.native.processes import counted, in_processes, listening
+from cgtorch.native.processes import (
+    counted,
+    in_processes,
+    kept_threads,
+    listening,
+    one_thread_each,
+)
 
 WORK = """
 import os
@@ -80,3 +88,26 @@ def test_what_is_counted_is_told_to_whoever_listens_and_to_nobody_else() -> None
         ("outer", "grasps", 3, 5),
         ("outer", "grasps", 5, 5),
     ]
+
+
+def test_a_process_has_one_thread_and_forks_no_others() -> None:
+    def about(_: int) -> tuple[int, int, bool]:
+        inner = in_processes(lambda _: os.getpid(), 3, 3)
+        return torch.get_num_threads(), native.threads(), set(inner) == {os.getpid()}
+
+    torch.set_num_threads(3)
+    native.use_threads(2)
+    assert in_processes(about, 2, 2) == [(1, 1, True)] * 2
+    assert (torch.get_num_threads(), native.threads()) == (3, 2)
+    native.use_threads(0)
+
+
+def test_torch_has_one_thread_for_a_while_and_in_threads_that_are_kept() -> None:
+    torch.set_num_threads(3)
+    with one_thread_each() as before:
+        assert (before, torch.get_num_threads()) == (3, 1)
+    assert torch.get_num_threads() == 3
+    pool = kept_threads(2)
+    assert pool is kept_threads(2)
+    assert pool is not kept_threads(1)
+    assert pool.submit(torch.get_num_threads).result() == 1

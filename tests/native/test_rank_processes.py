@@ -147,6 +147,21 @@ def test_a_failure_after_the_common_work_counts_too() -> None:
         in_ranks(work, 2)
 
 
+def test_who_does_not_end_after_the_common_work_is_not_waited_for_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def work() -> None:
+        ranks.wait()
+        if not ranks.first():
+            time.sleep(60)
+
+    monkeypatch.setattr(rank_processes, "PATIENCE", 0.1)
+    began = time.monotonic()
+    in_ranks(work, 2)
+    assert time.monotonic() - began < SOON
+    assert not others_started()
+
+
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_killed_rank_is_told_once_and_says_which(number: signal.Signals) -> None:
     def work() -> None:

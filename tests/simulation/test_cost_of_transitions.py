@@ -197,3 +197,31 @@ def test_of_two_that_succeed_the_shorter_is_fitter() -> None:
     value = ChanceOfSuccess(COST)(runs, chance)
     assert (value[0] > value[1]).all()
     assert torch.equal(*chance_of_success(runs, chance)[:2])
+
+
+def test_evaluations_count_what_their_rollouts_would_until_one_of_the_kept_is_lost() -> None:
+    environment, actions = random_models(4, 21), SETS[0]
+    engine, graphs = engine_of(actions, environment), as_double(random_graphs(4, 60, actions))
+    assert engine is not None
+    for number in range(21):
+        some = torch.arange(21).roll(number)
+        runs = engine.rollouts(graphs, some, 20, 60)
+        assert runs is not None
+        steps, lost = runs.transitions, ~runs.succeeded[:, 0]
+        if 5 < int(lost.sum()) < 55:
+            break
+    for kept, counted in (
+        (0, steps.sum()), (1, steps[~lost].sum() + steps[lost, 0].sum()), (21, steps.sum()),
+    ):  # fmt: skip
+        found = engine.evaluation(graphs, some, kept, 20, 60)
+        assert found is not None
+        assert found[3] == int(counted)
+        assert found[4] == runs.executed if kept != 1 else 0 < found[4] < runs.executed
+        assert found[5] == 0
+    graphs.parameters[7, 3, 0] = torch.nan
+    graphs.parameters[9, 0, 1] = torch.inf
+    spoilt = engine.evaluation(graphs, some, 0, 20, 60)
+    assert spoilt is not None
+    assert spoilt[5] == 2
+    assert float(spoilt[1][[7, 9]].abs().max()) == 0
+    assert not bool(spoilt[2][[7, 9]].any())

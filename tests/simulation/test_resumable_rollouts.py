@@ -190,3 +190,50 @@ def test_numbers_of_another_type_than_the_percepts_run_in_torch() -> None:
     assert resumable_rollout(single, actions, place, some, limits, None) is None
     assert resumable_rollout(graphs, actions, place, some.int(), limits, None) is None
     assert resumable_rollout(graphs[:0], actions, place, some, limits, None) is None
+
+
+@pytest.mark.parametrize(("offset", "succeeds"), [(0.0, False), (-1e-6, True)])
+def test_a_chance_of_just_a_half_is_a_failure(offset: float, succeeds: bool) -> None:
+    """Whether models are compiled or Python has them, in vectors of one graph or of several."""
+    before, actions = random_models(0, 5, errors=False), paper_actions()
+    machine = before.classifier.machine  # type: ignore[attr-defined]
+    machine.weights, machine.bias = 0 * machine.weights, 0 * machine.bias
+    machine.platt = torch.tensor([-1.5, offset], dtype=torch.float64)
+    models = models_as(before)
+    graphs, some = as_double(chain(actions, "Grasp", "Detect")), torch.arange(5)
+    compiled, limits = engine_of(actions, models), (4, 9)
+    assert compiled is not None
+    in_python = resumable_rollout(graphs, actions, models, some, (*limits, MOST_IDLE), None)
+    found = compiled.rollouts(graphs, some, *limits), waiting(graphs, actions, models, limits)
+    for each in (*found, in_python, in_torch(graphs, actions, models, limits)):
+        assert each is not None
+        assert bool((each.succeeded == succeeds).all())
+        assert bool((each.timed_out != succeeds).all())
+
+
+class Precise(Path):
+    """A world with states in double precision below percepts in single, and a wall at 1."""
+
+    def first_state(self, scenario: Tensor) -> Tensor:
+        return super().first_state(scenario).double()
+
+    def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        after = super().next_state(state, control.double(), scenario)
+        return torch.where(after[:, :1] > 1, state, after)
+
+    def perceived(self, state: Tensor, scenario: Tensor) -> Tensor:
+        return super().perceived(state, scenario).float()
+
+
+def test_a_state_of_another_type_that_stays_as_it_is_is_seen() -> None:
+    """Who stands before the wall is in an endless loop, of which the rest is only counted."""
+    actions, walks = walking_actions(), Walks(torch.tensor([0.5, -1.0]), torch.ones(2))
+    graphs = chain(actions, "Aim", "Step", speed=0.25)
+    found, wanted = (
+        way(graphs, actions, Precise(walks), (200, 400)) for way in (waiting, in_torch)
+    )
+    assert found.state.dtype == torch.float64
+    assert found.state[0, :, 0].tolist() == [1.0, 1.0]
+    assert torch.equal(found.state, wanted.state)
+    assert torch.equal(found.transitions, wanted.transitions)
+    assert found.executed <= wanted.executed < 40

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 from mutants.c_edits import c_edits
-from mutants.closest import callers, closest
+from mutants.c_functions import POOL, callers, exported, made_of
+from mutants.closest import closest
 from mutants.drawn import drawn, rooms
 from mutants.python_edits import python_edits
 from mutants.recording import Recording
@@ -31,6 +32,7 @@ typedef struct { int a[3]; } A;
 /* a < b */
 static int f(const A *a, int n) {
   int most = 0;
+  const int *room[4][2], other[3];
   for (int i = 0; i < n; i++) {
     if (!a->a[i] && n >= 2) continue;
     most += a->a[i] * 1.5;
@@ -139,12 +141,37 @@ def test_who_runs_the_line_comes_first_and_the_time_is_limited() -> None:
     assert names(7, 1) == ["slow"]  # one runs in any case
 
 
-def test_a_c_file_is_run_by_python_that_names_its_functions() -> None:
+def test_a_c_file_is_run_by_who_calls_what_is_compiled_with_it() -> None:
     for file in ("rbf.c", "rbf.h"):
-        found = callers(ROOT, f"cgtorch/native/svm/{file}")
-        lines = [(ROOT / path).read_text().splitlines()[line - 1] for path, line in found]
-        assert any('"rbf_values"' in text for text in lines)
-    assert not any("rbf_values" in text for text in ("svm/smo.c", "svm/rbf.c") if text in lines)
+        functions = made_of(ROOT, f"cgtorch/native/svm/{file}")
+        path, line = functions["rbf_values"]
+        assert (ROOT / path).read_text().splitlines()[line - 1].startswith("int rbf_values(")
+        assert "smo_problems" not in functions
+        assert ("kernel_rollouts" in functions) == (file == "rbf.h")
+        assert ("tests/native/test_angles.py" in functions) == (file == "rbf.h")
+    assert callers(ROOT, ["rbf_values"]) == {"cgtorch/svm/rbf.py"}
+    # Their names are put together.
+    assert callers(ROOT, ["tabletop_rollouts"]) == {"cgtorch/simulation/compiled.py"}
+    assert callers(ROOT, ["worlds_resumed"]) == {"cgtorch/simulation/resumable.py"}
+    assert made_of(ROOT, POOL).keys() >= exported(ROOT).keys()
+
+
+def test_tests_of_a_c_file_are_those_that_call_it_and_compile_no_kernels() -> None:
+    file = "cgtorch/native/engine/selection.c"
+    functions, asked = made_of(ROOT, file), []
+
+    def recorded(path: str) -> list[Recording]:
+        asked.append(path)
+        ranked = [functions["ranking"][1]] if path.endswith("test_selection.py") else []
+        return [Recording(f"{path}::test", 0.1, {file: ranked} if ranked else {})]
+
+    (found,) = closest(ROOT, file, 1, recorded, 9)
+    assert found.test == "tests/evolution/test_selection.py::test"
+    assert "tests/evolution/test_operators.py" in asked
+    assert "tests/evolution/test_gpu_operators.py" not in asked
+    closest(ROOT, "cgtorch/native/svm/rbf.c", 1, recorded, 9)
+    assert "tests/svm/test_rbf.py" in asked
+    assert "tests/svm/test_storage.py" not in asked  # as one has the module's own name
 
 
 def test_a_package_with_a_weak_test(tmp_path: Path) -> None:

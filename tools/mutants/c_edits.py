@@ -17,6 +17,11 @@ _OPERATOR = re.compile(
     rf"(?<= )({'|'.join(map(re.escape, sorted(OPERATORS, key=len)[::-1]))})(?= )"
 )
 _NUMBER = re.compile(r"(?<![\w.])(\d+\.\d+|\d+)(?![\w.])")
+_ROOM = re.compile(
+    r"\b(?!return\b|else\b|case\b)\w+ (?:restrict )?\*?(?:restrict )?\w+(?:\[[^\]]*\])*"
+    r"(?:, \*?\w+(?:\[[^\]]*\])*)*\[$"
+)
+"""Before the size of an array that is declared: larger ones change nothing."""
 _NEGATION = re.compile(r"(?<![\w)\]])(!|~|-)(?=[\w(])")
 _DECLARED = r"\w+ \*?\w+[ ;\[]|const "
 _STATEMENT = re.compile(rf"^\s++(?!return|goto|break|continue|for \(|{_DECLARED})([^{{]*;)$")
@@ -54,6 +59,8 @@ def _in_line(line: str) -> list[tuple[int, int, str]]:
         for new in OPERATORS[match[1]].split()
     ]
     for match in _NUMBER.finditer(line):
+        if _ROOM.search(line[: match.start()]):
+            continue
         whole = "." not in match[1]
         new = {"0": "1", "1": "0"}.get(match[1], str(int(match[1]) + 1)) if whole else ""
         found.append((*match.span(1), new or str(2 * float(match[1]) or 1.0)))

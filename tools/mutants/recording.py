@@ -16,6 +16,7 @@ from types import FrameType
 import coverage
 import pytest
 
+from mutants.c_functions import NATIVE, exported, listen
 from mutants.workshop import Workshop
 
 LONGEST = 10.0
@@ -33,7 +34,8 @@ class Recording:
     Attributes:
         test: Its name for pytest.
         seconds: Time of a CPU, with all processes that it waited for.
-        lines: For each file of the package that it or the fixtures of its file run, which lines.
+        lines: For each file of the package that it or the fixtures of its file run, which lines; of
+            C files, where the functions begin that are called.
     """
 
     test: str
@@ -48,7 +50,7 @@ def recorded(shop: Workshop, file: str, cache: Path) -> list[Recording]:
     """
     helpers = [p for p in sorted((shop.root / "tests").rglob("*.py")) if p.name[:5] != "test_"]
     texts = [file.encode(), *(path.read_bytes() for path in [*helpers, shop.root / file])]
-    kept = cache / f"{LONGEST}-{hashlib.sha256(b''.join(texts)).hexdigest()[:32]}.json"
+    kept = cache / f"{LONGEST}-c-{hashlib.sha256(b''.join(texts)).hexdigest()[:32]}.json"
     if not kept.exists():
         cache.mkdir(parents=True, exist_ok=True)
         made = shop.work / "recording.json"
@@ -89,6 +91,10 @@ def _hash(path: Path) -> str:
 def _record(shop: Workshop, file: str, made: Path) -> int:
     watch = _Watch(shop.root)
     watch.coverage.start()
+    if (shop.root / NATIVE).exists():
+        from cgtorch.native import library
+
+        listen(library, watch.call)
     pytest.main(["-q", "-p", "no:cacheprovider", file], plugins=[watch])
     watch.coverage.stop()
     tests = watch.recordings(file)
@@ -117,6 +123,18 @@ class _Watch:
         )
         self.seconds: dict[str, float] = {}
         self.passed: set[str] = set()
+        self.functions, self.context = exported(root), ""
+        self.lines: dict[str, dict[str, set[int]]] = {}
+
+    def call(self, function: str) -> None:
+        """A C function is called."""
+        if function in self.functions:
+            file, line = self.functions[function]
+            self.lines.setdefault(self.context, {}).setdefault(file, set()).add(line)
+
+    def _change(self, context: str) -> None:
+        self.context = context
+        self.coverage.switch_context(context)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
@@ -139,16 +157,16 @@ class _Watch:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> Iterator[None]:
-        self.coverage.switch_context(item.nodeid.partition("::")[0])  # fixtures may be shared
+        self._change(item.nodeid.partition("::")[0])  # fixtures may be shared
         return (yield)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
-        self.coverage.switch_context(item.nodeid)
+        self._change(item.nodeid)
         try:
             return (yield)
         finally:
-            self.coverage.switch_context("")
+            self._change("")
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call" and report.passed:
@@ -157,19 +175,18 @@ class _Watch:
             self.passed.discard(report.nodeid)
 
     def recordings(self, file: str) -> list[Recording]:
-        lines: dict[str, dict[str, list[int]]] = {}
-        data = self.coverage.get_data()
+        lines, data = self.lines, self.coverage.get_data()
         for path in data.measured_files():
             name = os.path.relpath(path, self.root)
             for line, contexts in data.contexts_by_lineno(path).items():
                 for context in contexts:
-                    lines.setdefault(context, {}).setdefault(name, []).append(line)
+                    lines.setdefault(context, {}).setdefault(name, set()).add(line)
         shared = lines.get(file, {})
         found = []
         for test in sorted(self.passed):
             own = lines.get(test, {})
             both = {
-                name: sorted({*own.get(name, []), *shared.get(name, [])})
+                name: sorted(own.get(name, set()) | shared.get(name, set()))
                 for name in own.keys() | shared.keys()
             }
             if self.seconds[test] <= LONGEST:

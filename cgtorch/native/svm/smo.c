@@ -117,7 +117,7 @@ static int64_t pairs(const Set *s, real tolerance, int64_t most) {
   for (int64_t steps = 0;; steps++) {
     real high, low;
     int64_t i = first_of_pair(s, step, ki, kj, &high, &low);
-    if (!(high - low >= tolerance) || steps == most) return steps;
+    if (!(high - low >= tolerance) || steps >= most) return steps;
     int64_t j = second_of_pair(s, i, high);
     step = pair_step(s, i, j, high);
     ki = s->kernel + i * s->stride;

@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -92,6 +93,20 @@ def test_a_clear_way_has_no_posture_that_touches(robot_and_arm, random_joints, g
             assert bool(alone[clear].all())
 
 
+def test_a_way_that_rests_on_its_way_is_looked_at_where_it_moves(pr2, random_joints):
+    """Before or after the middle, where alone the arm is looked at first."""
+    arm, scene, places, kind, ways = asked(
+        pr2, pr2.arms[1], random_joints, torch.Generator().manual_seed(4), 300, joints=2
+    )
+    a, b = ways.unbind(1)
+    whole = ways_clear(arm, scene, places, kind, ways)
+    at_rest = [ways_clear(arm, scene, places, kind, q[:, None]) for q in (a, b)]
+    assert (at_rest[0] & at_rest[1] & ~whole).any()
+    for way in ((a, a, b), (a, b, b), (a, a, a, b), (a, b, b, b)):
+        assert torch.equal(ways_clear(arm, scene, places, kind, torch.stack(way, 1)), whole)
+    assert torch.equal(ways_clear(arm, scene, places, kind, torch.stack([b, b], 1)), at_rest[1])
+
+
 def test_only_moving_solids_come_first_and_neighbours_are_left_out(robot_and_arm):
     robot, arm = robot_and_arm
     scene = robot.scenes[robot.arms.index(arm)]
@@ -104,10 +119,10 @@ def test_only_moving_solids_come_first_and_neighbours_are_left_out(robot_and_arm
     assert OBJECT in scene.pairs[:, 1]
 
 
-def wall(robot, random_joints):
+def wall(robot: Any, random_joints: Any, rows: int = 400) -> tuple[Any, ...]:
     """Ends that are clear on both sides of a table that stands on edge, and no straight way."""
     arm, scene, places, kind, ways = asked(
-        robot, robot.arms[0], random_joints, torch.Generator().manual_seed(8), rows=400, joints=2
+        robot, robot.arms[0], random_joints, torch.Generator().manual_seed(8), rows=rows, joints=2
     )
     ends = torch.stack([robot.home[0].expand_as(ways[:, 1]), ways[:, 1]], 1)
     free = ways_clear(arm, scene, places, kind, ends[:, 1:])

@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_models import first_percepts, random_classifier, random_gamma
 from support import FOOTPRINT, seeded
+from torch import Tensor
 
 from cgtorch.native import available
 from cgtorch.svm.rbf import machine_structure, machine_values, predict_rbf
-from cgtorch.tabletop.world import motion_possible
+from cgtorch.tabletop.world import clear_motion, motion_possible
 from cgtorch.tabletop.world.clear_motion import motion_possible_in_torch
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
@@ -122,3 +123,28 @@ def test_the_same_motions_are_possible(things: int) -> None:
     found = motion_possible(motion, scene, footprint)
     assert torch.equal(found, motion_possible_in_torch(motion, scene, footprint))
     assert 0.05 < float(found.double().mean()) < 0.95
+
+
+def grid(*columns: tuple[float, ...]) -> Tensor:
+    """Every combination of these numbers, in double precision."""
+    parts = [torch.tensor(column, dtype=torch.float64) for column in columns]
+    return torch.cartesian_prod(*parts)
+
+
+def test_motions_that_just_touch_are_as_possible_as_in_torch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All lengths are whole multiples of an eighth of a metre, of which nothing is rounded."""
+    monkeypatch.setattr(clear_motion, "CLEARANCE", 0.125)
+    footprint = torch.tensor([-0.375, 0.625, -0.25, 0.25], dtype=torch.float64)
+    motion = grid((-1.0, -0.5, 0.0, 0.25, 1.0), (-1.0, -0.25, 0.0, 0.75), (0.0, -0.5))
+    motion = torch.cat([motion, torch.tensor([[1.5, 2.0, 0], [1.5, -2.125, 0]]).double()])
+    place = grid((-1.0, -0.5, 0.0, 0.75, 1.0, 1.5), (-1.0, -0.5, 0.0, 0.625, 1.0), (0.0,))
+    size = grid((0.0, 0.25, 1.0), (0.0, 0.5, 1.0))
+    thing = torch.cat([place.repeat_interleave(len(size), 0), size.repeat(len(place), 1)], 1)
+    every = motion.repeat_interleave(len(thing), 0), thing.repeat(len(motion), 1)[:, None]
+    found = motion_possible(*every, footprint)
+    assert torch.equal(found, motion_possible_in_torch(*every, footprint))
+    assert 0.2 < float(found.double().mean()) < 0.8
+    assert bool(found[every[0][:, 1] == 2.0].any())
+    assert not bool(found[every[0][:, 1] == -2.125].any())
