@@ -87,6 +87,7 @@ def test_what_was_broken_off_is_counted_and_learned_once(tmp_path: Path, stage: 
             trials[-1] = try_skill(pusher(domain, 0.2), told(domain), purse)
     rows = lines(path, "action")
     assert all(0 <= row["seconds"] < 60 for row in rows)
+    assert all(row["seconds"] == round(row["seconds"], 3) for row in rows)  # ms
     moved = [row for row in rows if row["what"] == "motion" and row["done"]]
     assert sum(len(t.experience.percept) for t in trials) == len(moved)
     tests = [row for row in rows if row["what"] == "test"]

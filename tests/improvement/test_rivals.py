@@ -107,6 +107,7 @@ def test_the_worse_half_ends_at_each_rung_and_those_with_a_toll_go_on() -> None:
     levels = [1.0, 4.0, 2.0, 3.0]
     rivals = [*(tuning(level, RUNGS[0]) for level in levels), tuning(0.0, 2, toll=1.0)]
     assert [each.level for each in halved(rivals, RUNGS)] == [4, 3, 0]
+    assert [each.level for each in halved(rivals[:3], RUNGS)] == [4, 2]
     later = [tuning(1.0, RUNGS[0] + 1), tuning(2.0, RUNGS[0] + 1)]
     assert len(halved(later, RUNGS)) == 2
     unequal = [tuning(1.0, RUNGS[0]), tuning(2.0, RUNGS[0] - 1)]
