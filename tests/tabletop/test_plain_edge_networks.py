@@ -89,3 +89,14 @@ def test_ways_around_things_are_those_of_the_library() -> None:
     for i, one in enumerate(seen.tolist()):
         found = plain.first_motion(plain.things(one), motion[i].tolist(), FOOTPRINT)
         assert found == pytest.approx(wanted[i].tolist(), abs=1e-6)
+
+
+SMALL = (-0.05, 0.05, -0.05, 0.05)
+BLOCK = (0.5, 0.5, 0.0, 0.2, 0.2)
+
+
+@pytest.mark.parametrize("motion", [[0.1, 0.0, 0.0], [0.1, 0.0, 0.5], [0.02, 0.01, -2.0]])
+def test_no_corner_is_passed_on_a_motion_that_is_possible(motion: list[float]) -> None:
+    """However near a corner is, past which there would be a short way as well."""
+    assert plain.shortest([BLOCK], motion, 0.0, SMALL)[0] < 1
+    assert plain.first_motion([BLOCK], motion, SMALL) == motion
