@@ -281,3 +281,13 @@ def test_poses_are_near_whose_places_and_directions_that_count_are():
     level = _without_heading(jacobian, UP)
     assert torch.equal(level[:, :5], jacobian[:, :5])
     assert not level[:, 5].any()
+
+
+def test_the_heading_of_an_arm_is_that_of_its_tool(pr2, random_joints, generator):
+    arm = pr2.arms[0]
+    q, angle = random_joints(arm, 3, generator), torch.tensor([-2.0, 0.3, 1.5]).double()
+    chain = arm.chain(q)[0]
+    reached = chain.forward_kinematics(q).get_matrix()
+    back = poses_turned_by(*[[0.0, 0.0, -float(each)] for each in angle])
+    free = NumericalArm(chain, arm.lower, arm.upper, UP)
+    torch.testing.assert_close(headings(free, q, back @ reached), angle, atol=1e-6, rtol=0)
