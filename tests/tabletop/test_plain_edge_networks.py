@@ -8,9 +8,18 @@ from support import graspable, seeded
 from torch import Tensor
 
 from cgtorch.tabletop import plain_edge_networks as plain
-from cgtorch.tabletop.edge_networks import edge_frame, into, motion_to, obstacles, table_scene
-from cgtorch.tabletop.world import TabletopWorld, draw_of
+from cgtorch.tabletop.edge_networks import (
+    EdgeBranchingNN,
+    EdgeNN,
+    edge_frame,
+    into,
+    motion_to,
+    obstacles,
+    table_scene,
+)
+from cgtorch.tabletop.world import TabletopWorld, draw_of, routes
 from cgtorch.tabletop.world.clear_motion import motion_possible
+from cgtorch.tabletop.world.geometry import corners
 from cgtorch.tabletop.world.percepts import parts_of
 from cgtorch.tabletop.world.routes import first_motion
 
@@ -89,3 +98,54 @@ def test_ways_around_things_are_those_of_the_library() -> None:
     for i, one in enumerate(seen.tolist()):
         found = plain.first_motion(plain.things(one), motion[i].tolist(), FOOTPRINT)
         assert found == pytest.approx(wanted[i].tolist(), abs=1e-6)
+
+
+SMALL = (-0.05, 0.05, -0.05, 0.05)
+BLOCK = (0.5, 0.5, 0.0, 0.2, 0.2)
+
+
+@pytest.mark.parametrize("motion", [[0.1, 0.0, 0.0], [0.1, 0.0, 0.5], [0.02, 0.01, -2.0]])
+def test_no_corner_is_passed_on_a_motion_that_is_possible(motion: list[float]) -> None:
+    """However near a corner is, past which there would be a short way as well."""
+    assert plain.shortest([BLOCK], motion, 0.0, SMALL)[0] < 1
+    assert plain.first_motion([BLOCK], motion, SMALL) == motion
+
+
+BAFFLES = [(1.3, 2.8, 0.0, 0.1, 6.4), (3.3, -3.3, 0.0, 0.1, 7.4)]
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+@pytest.mark.parametrize(
+    ("goal", "corner", "least", "most"),
+    [
+        ((2.6, 0.3), (0.75, -0.9), 3, 4),  # past the two near corners of one baffle
+        ((3.5, 1.5), (0.75, -0.9), 5, 6),  # and past one of the other
+        ((4.6, 0.0), (0.75, 6.5), 14, 15),  # between both would be four
+    ],
+)
+def test_a_way_leads_past_three_corners_at_most(
+    goal: tuple[float, float], corner: tuple[float, float], least: float, most: float, turn: float
+) -> None:
+    length, via = plain.shortest(BAFFLES, [*goal, turn], turn, FOOTPRINT)
+    footprint, things = (torch.tensor(each).double() for each in (FOOTPRINT, [BAFFLES]))
+    every = corners(routes._wider(things, footprint)).flatten(1, 2)
+    about = torch.tensor([[*goal, turn]]).double(), torch.tensor([turn]).double(), footprint
+    wanted, first = routes._shortest(things, every, torch.ones(1, 8, dtype=torch.bool), *about)
+    assert length == pytest.approx(float(wanted), abs=1e-6)
+    assert list(via) == pytest.approx(every[0, int(first)].tolist(), abs=1e-6)
+    if not turn:
+        assert least < length < most
+        assert list(via) == pytest.approx(corner, abs=0.01)
+
+
+@pytest.mark.parametrize("size", [7, 9, 13])
+def test_networks_see_what_those_of_the_library_see(size: int) -> None:
+    percept = torch.randn(6, size, generator=seeded(7)).double()
+    percept[:, :4] = torch.tensor([-0.5, 0.5, -0.3, 0.7])
+    for ours, theirs in (
+        (plain.EdgeNN([0.0] * 50, 9, 3, 3), EdgeNN(size)),
+        (plain.EdgeBranchingNN([0.0] * 50, 9, 3, 1), EdgeBranchingNN(size)),
+    ):
+        wanted = theirs.sees(percept).tolist()
+        for one, values in zip(percept.tolist(), wanted, strict=True):
+            assert ours.sees(one) == pytest.approx(values, abs=1e-6)

@@ -111,3 +111,22 @@ def test_no_robot_is_one_error_with_the_address(
     monkeypatch.setenv(ADDRESS, address)
     with pytest.raises(RobotError, match=f"no stand-in robot answers at '{address}'; start it"):
         StandIn()
+
+
+def test_the_robot_is_the_one_that_is_asked_for_and_its_noise_never_repeats(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    about = list[TabletopSettings]()
+
+    def seen(settings: TabletopSettings, speed: float, done: JsonLines | None) -> None:
+        about.append(settings)
+        assert (speed, done) == (2.0, None)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stand_in, "Scene", seen)
+    threads = torch.get_num_threads()
+    with pytest.raises(KeyboardInterrupt):
+        stand_in.main.callback(port=0, robot="fetch", world="kinematic", speed=2.0, count=None)
+    torch.set_num_threads(threads)
+    (found,) = about
+    assert (found.robot, found.world, found.noise) == ("fetch", "kinematic", "fresh")

@@ -249,3 +249,14 @@ def test_a_run_without_a_skill_tells_whether_models_or_the_search_have_failed() 
 
 def test_every_cause_has_words() -> None:
     assert all(text and not text.endswith(".") for text in CAUSES.values())
+
+
+@pytest.mark.parametrize(("solved", "cause"), [(0.5, "search"), (0.625, "gamma")])
+def test_models_are_to_blame_where_most_copies_succeed_in_them(
+    solved: float, cause: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def imagined(models: Any, skill: Any, knowledge: Any, percepts: Tensor, *given: Any) -> Tensor:
+        return (torch.arange(8) < 8 * solved).expand(len(percepts), 8)
+
+    monkeypatch.setattr(causes, "imagined_successes", imagined)
+    assert set(found_in(TABLE, nearly(-0.2), models()).causes()) == {cause}

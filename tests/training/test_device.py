@@ -75,3 +75,23 @@ def test_a_gpu_is_chosen_for_large_populations_that_its_kernels_support(
     text = " ".join("".join(capfd.readouterr()).split())
     assert f"device: {says}" in text
     assert found.type == says.split(",")[0]
+
+
+@pytest.mark.parametrize(("rank", "asked"), [("3", "cuda:3"), (None, "cuda")])
+def test_a_gpu_has_the_number_of_the_rank_if_there_are_ranks(
+    rank: str | None, asked: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No GPU has to be there."""
+    zeros, met = torch.zeros, list[torch.device]()
+
+    def there(count: int, device: torch.device) -> torch.Tensor:
+        met.append(device)
+        return zeros(count)
+
+    monkeypatch.delenv("LOCAL_RANK", raising=False)
+    if rank is not None:
+        monkeypatch.setenv("LOCAL_RANK", rank)
+    monkeypatch.setattr(torch, "zeros", there)
+    assert device_named("cuda") == torch.device(asked)
+    assert device_named("cuda:1") == torch.device("cuda:1")
+    assert met == [torch.device(asked), torch.device("cuda:1")]

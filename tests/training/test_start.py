@@ -268,3 +268,31 @@ def test_a_robot_is_explored_as_one(live: bool, tmp_path: Path) -> None:
     if isinstance(domain, OnRobot):  # another training knows of it
         again = driven_cart.cart(tmp_path / "log")
         assert again.actor.explored(2, 1)[0].control.tolist() == [[0.25]]
+
+
+@pytest.mark.parametrize("transitions", [0, 30])
+def test_data_alone_are_read_and_other_data_are_where_an_exploration_begins(
+    transitions: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, said = some_data(400, 60, 60), list[str]()
+    run = run_with(tmp_path, data, transitions=transitions)
+    begun = list[Any]()
+
+    def explored(exploration: Any) -> Dataset:
+        begun.append(exploration)
+        return data
+
+    monkeypatch.setattr(type(run.models), "explore", lambda models, about: explored(about))
+
+    def working(message: str) -> nullcontext[None]:
+        said.append(message)
+        return nullcontext()
+
+    found = module._first_data(Training(run, lambda event: None, working), seeded(0))
+    assert same(found, data)
+    if transitions:
+        (exploration,) = begun
+        assert (exploration.most, same(exploration.known, data)) == (transitions, True)
+        assert said == ["exploring: motions that teach the models most"]
+    else:
+        assert (said, begun) == (["reading the data"], [])

@@ -3,6 +3,7 @@
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from support import random_skill, seeded
 from walking import Walking
 
 from cgtorch.graphs import Skill
-from cgtorch.improvement.events import Event, FreshTested, Practised
+from cgtorch.improvement.events import Event, FreshTested, Practised, StageStarted
 from cgtorch.improvement.setup import Progress
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.stored_run import StoredRun
@@ -166,3 +167,25 @@ def test_a_round_without_a_skill_ends_the_training_once_its_budget_is_spent(
         else:
             with pytest.raises(NotImprovedError, match="stage auto-1 found no skill"):
                 train_until(training, Goal(rounds=1))
+
+
+def test_a_mean_that_is_the_target_itself_is_tested_again() -> None:
+    (first,), _ = _mean_tested(Told().training(WALKS), Goal(target=1.0), "auto-1", 0, SKILL, 0)
+    for more, tests in ((0.0, 2), (1e-6, 1)):
+        goal = Goal(target=fmean(first.values.tolist()) + more)
+        scores, _ = _mean_tested(Told().training(WALKS), goal, "auto-1", 0, SKILL, 0)
+        assert len(scores) == tests
+
+
+def test_each_round_is_told_as_it_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "run.json").write_text("{}")
+    monkeypatch.setitem(module.METHODS, "compose", practises)
+    told = Told()
+    run = replace(WALKS, folder=tmp_path, repeats=False)
+    training = Training(run, told.append, lambda message: nullcontext())
+    train_until(training, Goal(rounds=2))
+    attempts = training.attempts
+    assert [event for event in told if isinstance(event, StageStarted)] == [
+        StageStarted("auto-1", ("auto-1",), 0, 0, attempts),
+        StageStarted("auto-2", ("auto-1", "auto-2"), 0, 0, attempts),
+    ]

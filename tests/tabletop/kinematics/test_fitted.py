@@ -6,11 +6,14 @@ import mesh_robot
 import numpy as np
 import pytest
 import trimesh
+from lxml import etree
 from points_outside import outside, shapes_of
+from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
-from cgtorch.tabletop.kinematics.fitted import without_meshes
+from cgtorch.tabletop.kinematics.fitted import _elements, _pose, _Reader, without_meshes
+from cgtorch.tabletop.kinematics.shapes import Shape
 
 MESHES = mesh_robot.meshes()
 
@@ -95,3 +98,48 @@ def test_a_scale_that_is_none(urdf, scale):
     urdf.write_text(urdf.read_text().replace("0.001 0.001 0.001", scale))
     with pytest.raises(RobotError):
         without_meshes(load_urdf(urdf))
+
+
+def test_a_shape_is_written_with_its_place_and_sizes():
+    (box,) = _elements("collision", Shape("box", np.eye(4), (0.1, 0.2, 0.3)))
+    assert (box.tag, box.find("geometry/box").get("size")) == ("collision", "0.1 0.2 0.3")
+    pose = transformations.euler_matrix(0.1, -0.2, 0.3, "sxyz")
+    pose[:3, 3] = 1, 2, 3
+    (cylinder,) = _elements("visual", Shape("cylinder", pose, (0.1, 0.5)))
+    read = cylinder.find("geometry/cylinder")
+    assert (read.get("radius"), read.get("length")) == ("0.1", "0.5")
+    np.testing.assert_allclose(_pose(cylinder.find("origin")), pose, atol=1e-8)
+    assert cylinder.find("origin").get("xyz") == "1.0 2.0 3.0"
+    middle, *ends = _elements("collision", Shape("capsule", pose, (0.1, 0.5)))
+    assert middle.find("geometry/cylinder").get("length") == "0.5"
+    for end, z in zip(ends, (-0.25, 0.25), strict=True):
+        assert end.find("geometry/sphere").get("radius") == "0.1"
+        place = pose @ transformations.translation_matrix([0, 0, z])
+        np.testing.assert_allclose(_pose(end.find("origin"))[:3, 3], place[:3, 3], atol=1e-8)
+    np.testing.assert_array_equal(_pose(None), np.eye(4))
+
+
+def test_a_file_is_fitted_once_for_each_scale(urdf, monkeypatch):
+    fits = list[tuple[str, list[float]]]()
+
+    def read(path, scale):
+        fits.append((path.name, scale))
+        return trimesh.creation.box((0.1, 0.1, 0.1))
+
+    monkeypatch.setattr("cgtorch.tabletop.kinematics.fitted.read_mesh", read)
+    reader = _Reader(urdf, (), {})
+    mesh = [etree.Element("mesh", filename="package://mesh_robot/meshes/pan.obj") for _ in "abcd"]
+    for each, scale in zip(mesh[1:], ("1 1 1", "0.5", "1, 2 3"), strict=True):
+        each.set("scale", scale)
+    one, same, half, odd = map(reader.fit, mesh)
+    assert one is same
+    assert len({id(one), id(half), id(odd)}) == 3
+    assert fits == [("pan.obj", [1, 1, 1]), ("pan.obj", [0.5] * 3), ("pan.obj", [1, 2, 3])]
+
+
+def test_more_meshes_than_a_robot_has_are_refused(urdf, monkeypatch):
+    read = load_urdf(urdf)
+    count = read.xml.count(b"<mesh ")
+    monkeypatch.setattr("cgtorch.tabletop.kinematics.fitted.MAX_MESHES", count - 1)
+    with pytest.raises(RobotError, match=f"has more than {count - 1} meshes: give fewer"):
+        without_meshes(read)

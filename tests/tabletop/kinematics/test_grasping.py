@@ -1,11 +1,19 @@
 import math
+from types import SimpleNamespace
 
 import pytest
 import torch
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import grasping, has_posture
-from cgtorch.tabletop.kinematics.grasping import APPROACHES, waypoints
+from cgtorch.tabletop.kinematics.grasping import (
+    APPROACHES,
+    lines_to_try,
+    nth_of_each,
+    places_of,
+    postures_in_turn,
+    waypoints,
+)
 
 HEIGHT = 0.74
 
@@ -176,3 +184,84 @@ def test_leaving_out_what_is_too_far_away_changes_nothing(pr2, monkeypatch):
     assert torch.equal(has_posture(pr2, position, table), found)
     assert (found & ~near).sum() == 0
     assert found.any()
+
+
+def test_how_many_earlier_entries_are_alike():
+    assert nth_of_each(torch.tensor([0, 0, 2, 5, 5, 5])).tolist() == [0, 1, 0, 0, 1, 2]
+    assert nth_of_each(torch.zeros(0, dtype=torch.long)).tolist() == []
+
+
+def test_of_many_postures_a_part_is_tried_first_and_the_rest_where_none_was_good():
+    """Of the second grasp there are seventeen and of the last as many, which is one too many."""
+    row = torch.tensor([0] * 16 + [1] * 17 + [3] * 17)
+    q, asked = torch.arange(50)[:, None], list[torch.Tensor]()
+
+    def candidates(pose):
+        asked.append(pose)
+        return row, q
+
+    path, solved = torch.rand(4, 5, 4, 4), torch.zeros(4, dtype=torch.bool)
+    turns = postures_in_turn(SimpleNamespace(candidates=candidates), path, solved)
+    rows, first = next(turns)
+    assert torch.equal(asked[0], path[:, 2])
+    assert first[:, 0].tolist() == [*range(16), 16, 24, 32, 33, 41, 49]
+    assert rows.tolist() == [0] * 16 + [1] * 3 + [3] * 3
+    solved[1] = True
+    rows, rest = next(turns)
+    assert rest[:, 0].tolist() == [k for k in range(33, 50) if k not in (33, 41, 49)]
+    assert rows.tolist() == [3] * 14
+    assert next(turns, None) is None
+    solved[:] = True
+    assert not [*postures_in_turn(SimpleNamespace(candidates=candidates), path, solved)]
+
+
+def test_places_are_a_slab_and_an_object_that_stands_on_it():
+    position = torch.tensor([[0.5, 0.2, 0.7]])
+    places = places_of(position, torch.tensor([[0.8, 0.1, math.pi / 2, 0.6, 1.2, 0.7]]))
+    turn = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).double()
+    torch.testing.assert_close(places.table[0, :, :3], turn, atol=1e-6, rtol=0)
+    assert places.table[0, :, 3].tolist() == pytest.approx([0.8, 0.1, 0.68])
+    assert places.table_size[0].tolist() == pytest.approx([0.3, 0.6, 0.02, 0, 0])
+    assert torch.equal(places.object[0, :, :3], torch.eye(3).double())
+    assert places.object[0, :, 3].tolist() == pytest.approx([0.5, 0.2, 0.75])
+
+
+def test_an_arm_is_long_enough_for_what_is_no_farther_than_its_reach():
+    def arm(reach, *at):
+        mount = torch.eye(4, dtype=torch.float64)
+        mount[:3, 3] = torch.tensor(at)
+        return SimpleNamespace(reach=reach, mount=mount)
+
+    robot = SimpleNamespace(arms=(arm(1.0, 0.0, 0.0, 0.05), arm(0.5, 0.0, 2.0, 0.05)))
+    at = torch.tensor([[0.9, 0, 0], [1.1, 0, 0], [0, 1.6, 0], [0, 1.3, 0], [0, 0, 1.01]])
+    assert grasping.within_reach(robot, at).tolist() == [True, False, True, False, False]
+
+
+def test_a_robot_stands_in_a_table_that_its_footprint_overlaps():
+    robot = SimpleNamespace(description=SimpleNamespace(footprint=(-0.2, 0.4, -0.1, 0.3)))
+    tables = [[x, y, 0.0, 0.2, 0.2, 0.7] for x, y in ((0.45, 0.0), (0.55, 0.0), (0.0, 0.35))]
+    tables += [[0.0, -0.25, 0.0, 0.2, 0.2, 0.7], [-0.35, 0, 0, 0.2, 0.2, 0.7]]
+    found = grasping.standing_in_table(robot, torch.tensor(tables))
+    assert found.tolist() == [True, False, True, False, False]
+
+
+def test_lines_are_tried_until_each_object_is_solved(pr2):
+    """First approaches first; an object that a line has solved is not tried again."""
+    position, table = random_scene(3, seed=4)
+    position[:, :2], table[:, :3] = torch.tensor([0.55, 0.1]), torch.tensor([0.85, 0.0, 0.0])
+    position[1, 0] = 3.0  # out of reach
+    table[2, 0] = 0.3  # the robot would stand in it
+    arms, none = len(pr2.arms), len(pr2.arms) * len(APPROACHES)
+    rank = torch.full((3,), none)
+    met = [(which, lines) for which, lines in lines_to_try(pr2, position, table, rank)]
+    assert {int(row) for _, lines in met for row in lines.row} == {0}
+    ranks = sorted(int(each) for _, lines in met for each in lines.rank)
+    assert ranks == [*range(none)]
+    for which, lines in met:
+        assert (lines.rank % arms == which).all()
+        for path, each in zip(lines.path, lines.rank.tolist(), strict=True):
+            wanted = waypoints(position[:1], *APPROACHES[each // arms])[0]
+            torch.testing.assert_close(path, wanted)
+    rank[0] = 3
+    met = [(which, lines) for which, lines in lines_to_try(pr2, position, table, rank)]
+    assert sorted(int(each) for _, lines in met for each in lines.rank) == [0, 1, 2]

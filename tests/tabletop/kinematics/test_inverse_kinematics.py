@@ -1,11 +1,27 @@
+import itertools
 import math
+from types import SimpleNamespace
 
 import pytest
 import pytorch_kinematics
 import torch
+from scipy.spatial.transform import Rotation
 from support import tool_pose
 
-from cgtorch.tabletop.kinematics.inverse_kinematics import NumericalArm, numerical_candidates
+from cgtorch.tabletop.kinematics.inverse_kinematics import (
+    Heading,
+    NumericalArm,
+    _branches,
+    _cosines,
+    _error,
+    _heading,
+    _key,
+    _without_heading,
+    headings,
+    numerical_candidates,
+    pan_grid,
+    spherical_arm,
+)
 
 
 def reached(arm, pose, **keywords):
@@ -112,3 +128,166 @@ def test_numerical_solver_agrees_with_the_closed_form(pr2, random_joints, genera
     assert error[:, :3, 3].norm(dim=1).max() < 2e-4
     assert error[:, :3, :3].abs().max() < 2e-3
     assert bool((q >= lower - 1e-9).all() and (q <= upper + 1e-9).all())
+
+
+def pan_joint(lower, upper):
+    return SimpleNamespace(lower=torch.tensor([lower, 0.0]), upper=torch.tensor([upper, 0.0]))
+
+
+def test_pan_angles_cover_the_range_or_one_turn_about_its_middle():
+    assert pan_grid(pan_joint(-1.0, 3.0), 5).tolist() == [-1, 0, 1, 2, 3]
+    quarter = math.pi / 2
+    turn = pan_grid(pan_joint(-8.0, 10.0), 4).tolist()
+    assert turn == pytest.approx([1 + k * quarter for k in (-2, -1, 0, 1)], abs=1e-5)
+
+
+RANGES = [
+    (-1.0, 0.5), (0.5, 1.0), (-0.5, -0.2), (2.0, 4.0), (-4.0, -3.0), (5.0, 7.0), (3.5, 6.0),
+    (-7.0, -5.0), (-2.5, 2.0), (-math.pi, math.pi), (4.0, 10.0), (-10.0, -9.0), (6.5, 9.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("limits", RANGES)
+def test_cosines_within_limits_are_those_of_all_angles_there(limits):
+    every = torch.linspace(*limits, 200_001, dtype=torch.float64).cos()
+    assert _cosines(*limits) == pytest.approx((float(every.min()), float(every.max())), abs=1e-8)
+
+
+@pytest.mark.parametrize("elbow", RANGES[::3])
+@pytest.mark.parametrize("roll", RANGES[1::4])
+@pytest.mark.parametrize("wrist", RANGES[2::4])
+def test_branches_are_the_signs_that_angles_within_limits_have(elbow, roll, wrist):
+    unused = (0.0, 1e-3)
+    found = _branches([unused, unused, roll, elbow, unused, wrist, unused])
+    at = [torch.linspace(*ends, 20_001, dtype=torch.float64) for ends in (elbow, roll, wrist)]
+    sizes = at[0].sin(), at[1].cos(), at[2].sin()
+    signs = [{*size[size.abs() > 1e-6].sign().tolist()} for size in sizes]
+    assert {*map(tuple, found.tolist())} == {*itertools.product(*signs)}
+    assert len(found) == math.prod(map(len, signs))
+
+
+LENGTHS = (0.0, 0.1, 0.15, 0.25, 0.2, 0.12, 0.03)  # m between the joints along x
+
+
+def parts_of_an_arm(**changes):
+    """Joints of an arm with a closed form, some of them changed, and those before and after."""
+    parts = {}
+    for i, (axis, length) in enumerate(zip((2, 1, 0, 1, 0, 1, 0), LENGTHS, strict=True)):
+        origin = torch.eye(4, dtype=torch.float64)
+        origin[0, 3] = length
+        sign = -1.0 if i in (1, 4) else 1.0
+        about = [sign if k == axis else 0.0 for k in range(3)]
+        parts[f"j{i}"] = SimpleNamespace(origin=origin.numpy(), type="revolute", axis=about)
+    for name, height in (("before", 0.7), ("after", -0.05)):
+        origin = torch.eye(4, dtype=torch.float64)
+        origin[2, 3] = height
+        parts[name] = SimpleNamespace(origin=origin.numpy(), type="fixed", axis=[1.0, 0, 0])
+    parts["bare"] = SimpleNamespace(origin=None, type="fixed", axis=None)
+    for name, change in changes.items():
+        vars(parts[name]).update(change)
+    return tuple(parts[name] for name in ("before", *(f"j{i}" for i in range(7)), "bare", "after"))
+
+
+LIMITS = torch.tensor([[-1.0, 2.0]] * 7)
+
+
+def test_a_closed_form_has_the_lengths_of_its_arm():
+    form = spherical_arm(parts_of_an_arm(), LIMITS)
+    assert form.base[:3, 3].tolist() == [0, 0, 0.7]
+    assert form.shoulder.tolist() == [0.1, 0, 0]
+    assert (form.upper_arm, form.forearm) == (pytest.approx(0.4), pytest.approx(0.32))
+    assert form.tool[:3, 3].tolist() == pytest.approx([0.03, 0, -0.05])
+    assert form.signs.tolist() == [1, -1, 1, 1, -1, 1, 1]
+    assert form.lower.tolist() == [-1, -2, -1, -1, -2, -1, -1]
+    assert form.upper.tolist() == [2, 1, 2, 2, 1, 2, 2]
+
+
+def moved_by(**shift):
+    origin = torch.eye(4, dtype=torch.float64)
+    for axis, value in shift.items():
+        origin["xyz".index(axis), 3] = value
+    return {"origin": origin.numpy()}
+
+
+TURNED = torch.eye(4, dtype=torch.float64)
+TURNED[:2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"j2": {"type": "prismatic"}},
+        {"j3": {"axis": [0.0, 0.0, 1.0]}},
+        {"j6": {"type": "fixed"}},
+        {"bare": {"type": "revolute", "axis": [1.0, 0.0, 0.0]}},
+        {"j3": moved_by(x=0.1, y=0.01)},
+        {"j5": moved_by(x=0.1, z=0.01)},
+        {"j6": moved_by(z=0.01)},
+        {"j1": {"origin": TURNED.numpy()}},
+        {"j4": {"origin": TURNED.numpy()}},
+        {"j2": moved_by(x=-0.2), "j3": moved_by(x=0.2)},
+        {"j4": moved_by(x=-0.2), "j5": moved_by(x=0.1)},
+    ],
+)
+def test_no_other_arm_has_a_closed_form(changes):
+    assert spherical_arm(parts_of_an_arm(**changes), LIMITS) is None
+
+
+def poses_turned_by(*vectors):
+    """Poses turned by rotation vectors, rad."""
+    out = torch.eye(4, dtype=torch.float64).repeat(len(vectors), 1, 1)
+    out[:, :3, :3] = torch.tensor(Rotation.from_rotvec(vectors).as_matrix())
+    return out
+
+
+UP = Heading(torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), 0.5)
+
+
+def test_what_is_left_to_a_pose_is_a_way_and_a_rotation():
+    turns = [[0.3, -0.2, 0.1], [0.0, 0.0, 0.0], [0.0, 2.5, 0.0], [0.0, 0.0, -1.2]]
+    wanted, reached = poses_turned_by(*turns), poses_turned_by(*[[0.0, 0.0, 0.0]] * 4)
+    wanted[:, :3, 3], reached[:, :3, 3] = torch.tensor([0.5, 1, 2]), torch.tensor([0.25, 2, 4])
+    error = _error(reached, wanted, None)
+    assert error[:, :3].tolist() == [[0.25, -1, -2]] * 4
+    torch.testing.assert_close(error[:, 3:], torch.tensor(turns, dtype=torch.float64))
+    free = _error(reached, wanted, UP)
+    assert torch.equal(free[:, :3], error[:, :3])
+    for left, wish in zip(free[:, 3:], wanted, strict=True):
+        turn = torch.tensor(Rotation.from_rotvec(left).as_matrix())
+        assert abs(float(left[2])) < 1e-9
+        up = wish[:3, :3].T @ UP.up  # upwards as seen from the wanted pose
+        torch.testing.assert_close(turn.T @ UP.up, up)
+    assert free[3, 3:].norm() < 1e-9
+
+
+def test_a_heading_is_the_angle_about_the_vertical_between_poses_of_one_tilt():
+    tilted = poses_turned_by([0.4, 0.3, 0.0])
+    for angle in (-2.5, -0.5, 0.0, 1.0, 3.0):
+        turned = poses_turned_by([0.0, 0.0, angle]) @ tilted
+        assert float(_heading(turned, tilted, UP)) == pytest.approx(angle, abs=1e-9)
+    arm = SimpleNamespace(heading=None)
+    assert headings(arm, torch.zeros(3, 4), torch.zeros(3, 4, 4)).tolist() == [0, 0, 0]
+
+
+def test_poses_are_near_whose_places_and_directions_that_count_are():
+    one, other = poses_turned_by([0.0, 0.0, 0.0], [0.0, 0.0, 2.0])
+    both = torch.stack([one, other])
+    both[1, :3, 3] = torch.tensor([1.0, 2.0, 3.0])
+    free, whole = _key(both, UP), _key(both, None)
+    assert (free.shape, whole.shape) == ((2, 6), (2, 12))
+    assert free[1].tolist() == pytest.approx([1, 2, 3, 0, 0, 0.3])
+    assert whole[0].tolist() == pytest.approx([0, 0, 0, 0.3, 0, 0, 0, 0.3, 0, 0, 0, 0.3])
+    jacobian = torch.arange(12.0).view(1, 6, 2).double()
+    level = _without_heading(jacobian, UP)
+    assert torch.equal(level[:, :5], jacobian[:, :5])
+    assert not level[:, 5].any()
+
+
+def test_the_heading_of_an_arm_is_that_of_its_tool(pr2, random_joints, generator):
+    arm = pr2.arms[0]
+    q, angle = random_joints(arm, 3, generator), torch.tensor([-2.0, 0.3, 1.5]).double()
+    chain = arm.chain(q)[0]
+    reached = chain.forward_kinematics(q).get_matrix()
+    back = poses_turned_by(*[[0.0, 0.0, -float(each)] for each in angle])
+    free = NumericalArm(chain, arm.lower, arm.upper, UP)
+    torch.testing.assert_close(headings(free, q, back @ reached), angle, atol=1e-6, rtol=0)

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from cgtorch.ground.errors import RobotError
+from cgtorch.tabletop.kinematics import description as words_of_robots
 from cgtorch.tabletop.kinematics import load_robot, robot_files, robots_folder
 from cgtorch.tabletop.kinematics.clear_ways import OWN
 
@@ -91,3 +92,18 @@ def test_links_that_never_collide_are_no_pairs_of_a_scene():
     assert 0 < len(fewer.pairs) < len(every.pairs)
     assert torch.equal(fewer.pairs, every.pairs[kept])
     assert torch.equal(fewer.reach, every.reach[kept])
+
+
+def test_built_in_robots_are_in_the_package_or_else_beside_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        words_of_robots, "__file__", str(tmp_path / "site" / "cgtorch" / "a" / "b" / "c")
+    )
+    beside, within = tmp_path / "site" / "robots", tmp_path / "site" / "cgtorch" / "robots"
+    with pytest.raises(RobotError, match=r"no built-in robots in '.*': install cgtorch again") as e:
+        robots_folder()
+    assert repr(str(within)) in str(e.value)
+    assert repr(str(beside)) in str(e.value)
+    for folder in (beside, within):
+        (folder / "pr2").mkdir(parents=True)
+        shutil.copy(BOTH[1], folder / "pr2")
+        assert robots_folder() == folder

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from stand_in import labelled
 
-from cgtorch.tabletop.models.success import grasp_features, used_features
+from cgtorch.tabletop.models.success import GraspClassifier, grasp_features, used_features
 
 
 def test_gradients_equal_finite_differences():
@@ -95,3 +95,42 @@ def test_obstacles_of_any_number_are_left_out(size):
     for boxes in (1, 2, 3):
         more = torch.cat([percept, torch.rand(4, 3, 4 * boxes)], -1)
         assert torch.equal(grasp_features(more), grasp_features(percept))
+
+
+def test_features_of_a_box_are_its_sides_the_way_to_the_object_and_its_height():
+    percept = torch.tensor([[0.3, 1.1, -0.6, 0.6, 0.3, -0.4, 0.7]] * 2, dtype=torch.float64)
+    sides = [0.5 * math.tanh(x / 0.5) for x in (0.3, 1.1, -0.6, 0.6)]
+    wanted = [*sides, 4 * 0.5, 2 * 0.6, -2 * 0.8, 3 * 0.7]
+    for row in grasp_features(percept).tolist():
+        assert row == pytest.approx(wanted)
+
+
+def test_features_of_a_turned_table_are_two_edges_after_the_way_and_the_height():
+    percept = seen(1.0, 0.9, 0.0, 0.8, 1.2, (0.7, 0.4))
+    ahead = [0.5 * math.tanh(x / 0.5) for x in (0.6, 0.3)]  # of the edges at -x and at -y
+    away = math.hypot(0.7, 0.4)
+    polar = [4 * away, 2 * 0.7 / away, 2 * 0.4 / away, 3 * 0.7]
+    wanted = [*polar, *ahead, 0.1, 0.1, -0.5, 0.0]
+    assert grasp_features(percept).tolist() == pytest.approx(wanted)
+
+
+def test_heights_that_differ_by_more_than_noise_are_used():
+    percept = torch.tensor(labelled(50, 1)[0])
+    for spread, used in ((0.019, 7), (0.021, 8)):
+        percept[:, 6] = 0.7 + spread * torch.tensor([-1.0, 1.0]).repeat(25)
+        assert used_features(percept) == used
+    assert used_features(torch.rand(5, 9)) == used_features(torch.rand(5, 13)) == 10
+
+
+def test_all_features_have_one_scale_and_constant_ones_that_of_one():
+    percept = torch.tensor(labelled(60, 2)[0])
+    model = GraspClassifier()
+    rows = model.standardise(percept)
+    features = grasp_features(percept)[:, :7]
+    assert torch.equal(model.mean, features.mean(0))
+    assert len(model.scale.unique()) == 1
+    assert float(rows.square().mean()) == pytest.approx(1)
+    torch.testing.assert_close(rows * model.scale + model.mean, features)
+    still = model.standardise(percept[:1].expand(4, -1))
+    assert model.scale.tolist() == [1.0] * 7
+    assert still.abs().max() < 1e-12

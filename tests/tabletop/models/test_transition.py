@@ -277,3 +277,16 @@ def test_the_learning_curve_falls(fitted):
 def test_bad_data_are_refused(change, says):
     with pytest.raises(DataError, match=says):
         fit_transition_model(TableTransitionModel(), *change(*transitions(30)), grid=GRID)
+
+
+def test_what_features_are_scaled_by_is_known_as_it_is_stored():
+    """In float32, also while learning in float64."""
+    p, u, q = _torch(transitions(60, 14), torch.float64)
+    rounded, exact = TableTransitionModel(), TableTransitionModel()
+    rounded.standardise(p, u, q, torch.float32)
+    exact.standardise(p, u, q, torch.float64)
+    for name in ("mean", "scale", "sides", "most"):
+        value, whole = getattr(rounded, name), getattr(exact, name)
+        assert value.dtype == whole.dtype == torch.float64
+        assert torch.equal(value, whole.float().double())
+        assert not torch.equal(value, whole)

@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cgtorch.tabletop.physics import Physics
-from cgtorch.tabletop.physics.drive import SPEED, STEPS, TURN_SPEED, drive, motion_to, ramp
+from cgtorch.tabletop.physics.drive import (
+    SPEED,
+    STEPS,
+    TURN_SPEED,
+    drive,
+    goal_near,
+    motion_to,
+    ramp,
+)
 from cgtorch.tabletop.physics.model import TIMESTEP, Model
 from cgtorch.tabletop.physics.scene import Scene
 
@@ -74,3 +82,43 @@ def test_the_base_stops_at_what_it_touches(physics: Physics) -> None:
     pushed = drive(physics.model(None, 0), scene(LYING), numpy.array([-0.9, 0.0, 0.0]))
     assert pushed[10] == 0
     assert pushed[3] > -1.0
+
+
+@pytest.mark.parametrize(
+    ("length", "seconds", "peak"), [(0.25, 1.0, 0.5), (1.0, 2.0, 1.0), (3.0, 4.0, 1.0)]
+)
+def test_a_ramp_gathers_speed_and_loses_it_evenly(
+    length: float, seconds: float, peak: float
+) -> None:
+    rows = ramp(length, 1.0, 1.0, 0.125)
+    assert len(rows) == seconds / 0.125
+    assert max(speed for _, speed in rows) == pytest.approx(peak)
+    for k in range(1, len(rows)):
+        t, (done, speed) = k * 0.125, rows[k - 1]
+        assert speed == pytest.approx(min(t, seconds - t, peak))
+        assert done + rows[len(rows) - k - 1][0] == pytest.approx(length)  # forth as back
+    assert rows[0][0] == pytest.approx(0.125**2 / 2)
+    assert rows[-1] == pytest.approx((length, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("heading", "wanted", "found"),
+    [(0.5, 1.0, 1.0), (3.0, -3.0, math.tau - 3.0), (-3.0, 3.0, 3.0 - math.tau), (7.0, 0.5, 6.783)],
+)
+def test_a_goal_is_turned_to_the_shorter_way(heading: float, wanted: float, found: float) -> None:
+    goal = goal_near(heading, numpy.array([1.0, 2.0, wanted]))
+    assert goal.tolist() == pytest.approx([1, 2, found], abs=1e-3)
+
+
+def test_no_motion_has_no_poses_and_a_turn_has_the_speed_of_a_turn() -> None:
+    here = numpy.array([1.0, 2.0, 0.5])
+    assert motion_to(here, here, 0.02) == []
+    rows = motion_to(here, here + numpy.array([0.0, 0.0, 2.5]), 0.02)
+    speeds = numpy.array([speed for _, speed in rows])
+    assert speeds[:, :2].tolist() == [[0.0, 0.0]] * len(rows)
+    assert speeds[:, 2].max() == pytest.approx(TURN_SPEED)
+    assert speeds[0, 2] == pytest.approx(2.0 * 0.02)  # rad/s after a tick
+    (pose, speed), *_ = motion_to(here, here - numpy.array([3.0, 4.0, 0.0]), 0.02)
+    assert speed.tolist() == pytest.approx([-0.6 * 0.02, -0.8 * 0.02, 0.0])
+    way = 0.02**2 / 2
+    assert pose.tolist() == pytest.approx([1 - 0.6 * way, 2 - 0.8 * way, 0.5])

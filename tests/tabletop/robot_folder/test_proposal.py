@@ -248,3 +248,12 @@ def test_a_tool_frame_has_a_name_of_its_own_and_one_arm_is_no_others(tmp_path):
 
 def test_a_torso_that_turns_without_end_stays():
     assert _torso_position(None, SimpleNamespace(type="continuous"), []) == 0.0
+
+
+def test_a_tool_frame_lies_between_fingers_that_are_held_as_wished(tmp_path):
+    """Though they were opened to see how far."""
+    plain, _ = without_meshes(load_urdf(mesh_robot.write_package(tmp_path)))
+    found = propose(plain, Wishes(held={"left_joint": 0.0}))
+    assert found.words.gripper_joints == {"left_joint": 0.0, "right_joint": 0.04}
+    pose = found.urdf.model.get_transform("arm_tool_frame", "hand_link")
+    assert pose[1, 3] == pytest.approx(-0.02, abs=1e-6)

@@ -19,10 +19,12 @@ from cgtorch.graphs import Skill
 from cgtorch.ground.errors import DataError
 from cgtorch.runs.chosen import last_skill
 from cgtorch.tabletop.kinematics import Robot, load_robot, robots_folder
+from cgtorch.tabletop.physics import Thing
 from cgtorch.tabletop.viewer import scene as scenes
 from cgtorch.tabletop.viewer.execution import Execution, execute, scenario_of
 from cgtorch.tabletop.viewer.scene import (
     LIT,
+    OBJECT,
     Scene,
     headline,
     levels_html,
@@ -191,3 +193,22 @@ def test_what_is_shown_is_of_the_step_and_safe_as_html() -> None:
     assert headline(line, len(line) - 1).endswith(f"<b> ended with {run.end}")
     quiet = replace(run, message=torch.full_like(run.message, float("nan")))
     assert "none yet" in readings_html(replace(line, execution=quiet), 0)
+
+
+def test_a_scene_has_a_place_an_object_and_a_robot_of_its_own(server: viser.ViserServer) -> None:
+    """No axes are drawn, and the object is as large as the one that is grasped."""
+    scene = Scene(server, "/two", load_robot(), -1.5)
+    place, base, thing = scene.place, scene.base, scene.object
+    assert (place.name, base.name, thing.name) == ("/two", "/two/base", "/two/object")
+    assert tuple(place.position) == (0.0, -1.5, 0.0)
+    assert tuple(base.position) == tuple(thing.position) == (0.0, 0.0, 0.0)
+    robot = server.scene._handle_from_node_name["/two/base/robot"]
+    assert [each.show_axes for each in (place, base, robot)] == [False] * 3
+    assert (thing.radius, thing.height) == (Thing().size[0], pytest.approx(0.1))
+    assert tuple(thing.color) == OBJECT
+    assert scene.drawn._joint_frames
+    for frame in (*scene.drawn._joint_frames, *scene.drawn._meshes):
+        assert frame.name.startswith("/two/base/robot/")
+    assert (scene.timeline, scene.columns) == (None, [])
+    assert (scene.frame, scene.marked) == (-1, 0)
+    scene.place.remove()

@@ -101,6 +101,9 @@ def test_the_pose_that_is_asked_for_is_drawn_and_red_if_it_is_refused() -> None:
     run.message = run.message[:, :2]
     scene._asked(SimpleNamespace(execution=run), 0)
     assert known["asked"].visible is False
+    run.message = torch.cat([torch.zeros(3, 3), nan[:, None]], 1)  # of which three are a motion
+    scene._asked(SimpleNamespace(execution=run), 0)
+    assert known["asked"].visible is True
 
 
 def test_what_is_perceived_is_drawn_where_it_seems_to_be() -> None:
@@ -117,7 +120,7 @@ def test_what_is_perceived_is_drawn_where_it_seems_to_be() -> None:
         (0.5, 2.5, z), (0.5, 3.5, z), (1.5, 2.5, z), (1.5, 3.5, z)
     }  # fmt: skip
     assert {end[2] for line in box for end in line} == {z}
-    assert all(one[0] == other[0] or one[1] == other[1] for one, other in box)
+    assert all((one[0] == other[0]) is not (one[1] == other[1]) for one, other in box)
     cross = lines_of(known["perceived-object"])
     ends = {tuple(end) for line in cross for end in line}
     high = round(0.8 + 2 * FLOOR, 4)

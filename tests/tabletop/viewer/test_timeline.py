@@ -1,5 +1,6 @@
 """Pictures in time: those of the kinematic world, and those of what is simulated in physics."""
 
+from dataclasses import replace
 from functools import cache
 from math import pi
 from pathlib import Path
@@ -304,3 +305,15 @@ def test_pictures_are_taken_at_equal_times_of_each_simulation() -> None:
         recorder.end_step()
     ticks: list[Any] = [0.0, 1 / FPS, 2 / FPS, 0.0, 1 / FPS, 1.5 / FPS]
     assert recorder.steps == [ticks, [], [0.0, 0.0]]
+
+
+def test_an_object_is_seen_during_a_step_where_it_was_before() -> None:
+    run, _ = opened()
+    scenarios = draw_of("far")(1, torch.Generator().manual_seed(1))
+    failed = execute(grasping_on_and_on(), run.domain.world(scenarios), 0)
+    assert len(failed.steps) > 1
+    pushed = failed.object + torch.arange(len(failed.object))[:, None]
+    one = timeline_of(replace(failed, object=pushed), run.domain.robot)
+    for k in range(len(failed.steps)):
+        there = one.object[one.step == k]
+        assert torch.equal(there, pushed[k].float().expand_as(there))
