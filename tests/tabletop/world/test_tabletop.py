@@ -173,6 +173,8 @@ def test_success_asks_for_the_truth_not_for_what_is_seen() -> None:
     assert 0 < success.mean() < 1
     torch.testing.assert_close(table[:, 3:], torch.tensor([0.8, 1.2, 0.74]).expand(30, 3))
     torch.testing.assert_close(table[:, 2], -scenes.pose[:, 2])
+    where = torch.cat([scenes.object, scenes.table[:, 5:6]], 1)
+    torch.testing.assert_close(environment.placed(lanes.state), where)
 
 
 def in_the_way(x: float) -> Scenarios:
