@@ -33,8 +33,10 @@ class CompiledLibraries(BuildHookInterface[Any]):
         if name is None or (platform.system(), platform.machine()) != SUPPORTED:
             self.app.display_warning("nothing is compiled: the wheel has the C sources only")
             return
-        own = compiler.own_capability(name)
-        targets = compiler.TARGETS if os.environ.get("CGTORCH_CPUS") == "all" else own and [own]
+        wish, own = os.environ.get("CGTORCH_CPUS", "own"), compiler.own_capability(name)
+        if wish not in ("own", "all"):
+            raise RuntimeError(f"CGTORCH_CPUS is {wish!r}: give own or all, or leave it out")
+        targets = compiler.TARGETS if wish == "all" else own and [own]
         if not targets:
             self.app.display_warning("nothing is compiled yet: the first use does so for this CPU")
             return
@@ -48,7 +50,7 @@ class CompiledLibraries(BuildHookInterface[Any]):
         self.app.display_info(
             f"{name} compiles {len(wanted) * files} objects: {files} C files, for numbers of "
             f"{' and '.join(compiler.REALS)}, and CPUs with {' and '.join(targets)}; "
-            f"this takes up to {len(wanted) * 20} s of two cores"
+            f"this takes up to {len(wanted) * 25} s of two cores"
         )
         begun = time.monotonic()
         try:
