@@ -29,6 +29,7 @@ from cgtorch.improvement.tuning import EVERY, SAMPLES, TRAIL, Tuning, begun, cal
 OFTEN = 5  # generations after which the mean of a holder that stays is known better
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
 TRIED, CERTAIN = 100, 2.0  # values with which it has to hold, by so many standard errors
+TESTING = 2  # the search executes so many times as many actions as tests and races
 UNTUNED = 10  # episodes that tell what a graph is worth before it is tuned
 ENDLESS = 10  # generations in which no episode ends, after which a search is hopeless
 
@@ -94,10 +95,13 @@ class MeanSearch:
     def _promising(self, state: State) -> bool:
         """Whether the mean of the holder, as far as it is known, has reached the target.
 
-        Once it is known well, it has to be above the target by its error.
+        Once it is known well, it has to be above the target by its error. Where steps are what
+        costs, tests and races may cost half as much as the search, which goes on until then.
         """
         holder = state.holder
         if holder is None or holder.count < self.fresh.pace.known:
+            return False
+        if state.left(TESTING) < 0 and not self.fresh.pace.together:
             return False
         error = CERTAIN * holder.error if holder.count >= TRIED else 0.0
         return holder.mean - error >= self.setup.budget.satisfied
@@ -106,19 +110,24 @@ class MeanSearch:
         """The state after a race of the champion, from which tuning goes on if it has its nodes.
 
         The best of many has been lucky, so it has no chance if even its own return is less than the
-        holder's mean.
+        holder's mean. Where steps are what costs, one does not race whose parameters are being
+        tuned with success.
         """
         returns, holder = self.setup.evolution.fitness is episode_return, state.holder
         if returns and holder is not None and generation.best < holder.mean:
             return state
-        champion = self.skill_of(generation.champion.graphs)
+        champion, tuning = self.skill_of(generation.champion.graphs), state.tuning
+        winning = tuning is not None and tuning.winning and tuning.fits(champion.graph)
+        if winning and not self.fresh.pace.together:
+            return state
         state, won = self._raced(state, champion, generator)
         return self._followed(state, champion.graph) if won else state
 
     def _followed(self, state: State, graph: Graphs) -> State:
         """The state in which the tuning with the same nodes that is nearest goes on from a graph.
 
-        It may be a rival that races, whose mean was a guest of the generation.
+        It may be a rival that races, whose mean was a guest of the generation. Then what was tuned
+        before becomes a rival.
         """
         actions, young = self.setup.actions, compared(state.rivals)
         racing = (each for each in state.rivals if each.alone or not young)
@@ -127,7 +136,9 @@ class MeanSearch:
         if not fit:
             return state
         nearest = min(fit, key=lambda each: each.distance(graph, actions))
-        rivals = tuple(each for each in state.rivals if each is not nearest)
+        rivals = tuple(
+            each for each in (*state.rivals, state.tuning) if each not in (None, nearest)
+        )
         return replace(state, tuning=nearest.moved(graph, actions), rivals=rivals)
 
     @property
@@ -169,6 +180,12 @@ class MeanSearch:
         if holder is None or (number % OFTEN and holder.count):
             return state
         count = max(self.fresh.pace.known, state.need.scenarios)
+        return self._known_better(state, holder, count, generator)
+
+    def _known_better(
+        self, state: State, holder: Holder, count: int, generator: Generator
+    ) -> State:
+        """The state with so many further values of the holder."""
         before = self.fresh.executed
         values = self.fresh.of_skills([holder.skill], count, generator)[0]
         raced = state.spent.raced + self.fresh.executed - before
@@ -194,15 +211,17 @@ class MeanSearch:
         """The state with the mean of a tuning as the holder, if the latest means were better.
 
         Where steps are what costs, a race between two good skills costs more than it is worth. So
-        what the latest means of a tuning got on fresh scenarios counts for the present one.
+        what the latest means of a tuning got on fresh scenarios counts for the present one. Those
+        of a rival have to be better by a standard error of both, as it begins anew. What goes on
+        tends to become better, so that as good is enough.
         """
         holder, trail = state.holder, torch.tensor(tuning.trail, dtype=torch.float64)
         if holder is None or holder.count < TRAIL or len(trail) < TRAIL:
             return None
         error = math.hypot(holder.error, float(trail.std()) / math.sqrt(TRAIL))
-        if not float(trail.mean()) > holder.mean + error:
+        if not float(trail.mean()) >= holder.mean + (0.0 if tuning is state.tuning else error):
             return None
-        return state.held_by(Holder(self._mean_of(tuning)))
+        return state.held_by(Holder(self._mean_of(tuning)).met(trail))
 
     def _seen(self, tuning: Tuning, generator: Generator) -> Tuning:
         """A tuning after its mean has been tried where a race is due, and steps are what costs."""
@@ -258,17 +277,16 @@ class MeanSearch:
     ) -> tuple[State, Tuning, bool]:
         """The state after the mean of a tuning has challenged the holder, and whether it has won.
 
-        If the latest means do not decide, a race does; where races have had their share, these
-        means have lost.
+        While there are too few latest means, a race decides, unless races have had their share.
         """
         if promoted := self._promoted(state, tuning):
             return promoted, tuning.raced(won=True), True
-        if self._affords(state):
-            state, won = self._raced(state, self._mean_of(tuning), generator)
-            return state, tuning.raced(won), won
-        known = state.holder is not None and state.holder.count >= TRAIL
-        lost = known and len(tuning.trail) == TRAIL
-        return state, tuning.raced(won=False) if lost else tuning, False
+        if state.holder is not None and min(state.holder.count, len(tuning.trail)) >= TRAIL:
+            return state, tuning.raced(won=False), False
+        if not self._affords(state):
+            return state, tuning, False
+        state, won = self._raced(state, self._mean_of(tuning), generator)
+        return state, tuning.raced(won), won
 
     def _mean_of(self, tuning: Tuning) -> Skill:
         """The skill of a tuning's mean."""
@@ -288,7 +306,8 @@ class MeanSearch:
             return replace(state, tuning=tuning)
         if not tuning.improving:
             state = replace(state, rivals=self._with_toll(state, tuning, generator))
-        state = replace(state, rivals=self._with_split(state, tuning))
+        if self.fresh.pace.together or not tuning.improving:
+            state = replace(state, rivals=self._with_split(state, tuning))
         more = tuning.more() if LARGEST * episodes <= state.spent.episodes else None
         return replace(state, tuning=more, settled=more is None)
 
@@ -343,6 +362,5 @@ class MeanSearch:
             missing = min(holder.count, TRIED - holder.count)
             if missing <= 0:
                 return state, True
-            values = self.fresh.of_skills([holder.skill], missing, generator)[0]
-            state = replace(state, holder=holder.met(values))
+            state = self._known_better(state, holder, missing, generator)
         return state, False

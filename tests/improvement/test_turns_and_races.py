@@ -103,10 +103,13 @@ def test_a_race_is_afforded_while_anything_is_left() -> None:
 def test_the_latest_means_have_to_be_better_by_the_error_of_both() -> None:
     search = search_of()
 
-    def promoted(values: Sequence[float], *trail: float) -> bool:
-        holder = Holder(staking(-1.0)).met(torch.tensor(values))
-        found = search._promoted(State(holder), tuned(staking(1.0), trail=trail))
-        assert found is None or (found.holder is not None and found.holder.count == 0)
+    def promoted(values: Sequence[float], *trail: float, holds: bool = False) -> bool:
+        holder, one = (
+            Holder(staking(-1.0)).met(torch.tensor(values)),
+            tuned(staking(1.0), trail=trail),
+        )
+        found = search._promoted(State(holder, tuning=one if holds else None), one)
+        assert found is None or (found.holder is not None and found.holder.count == TRAIL)
         return found is not None
 
     error = math.sqrt(5 / 3) / math.sqrt(TRAIL)  # of 1, 2, 3 and 4
@@ -116,7 +119,10 @@ def test_the_latest_means_have_to_be_better_by_the_error_of_both() -> None:
         both = math.sqrt(2) * error
         shifted = [each + both - more for each in (1.0, 2.0, 3.0, 4.0)]
         assert promoted([1.0, 2.0, 3.0, 4.0], *shifted) is better
-    assert not promoted([1.0] * 9, *[1.0] * TRAIL)
+    assert not promoted([1.0] * 9, *[1.0 - 1e-3] * TRAIL)
+    assert not promoted([0.0, 2.0] * 9, *[1.0] * TRAIL)
+    assert promoted([0.0, 2.0] * 9, *[1.0] * TRAIL, holds=True)  # as good is enough for it
+    assert not promoted([0.0, 2.0] * 9, *[0.999] * TRAIL, holds=True)
     assert promoted([1e8] * 9, *[1e8 + 1] * TRAIL)  # which single precision cannot tell apart
     assert search._promoted(State(), tuned(staking(1.0), trail=(9.0,) * TRAIL)) is None
 
