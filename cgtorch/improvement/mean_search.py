@@ -19,12 +19,13 @@ from cgtorch.evolution.selection import ranking
 from cgtorch.graphs import Graphs, Skill, compacted, merged
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.expected_state import State
+from cgtorch.improvement.latest_means import better, decide
 from cgtorch.improvement.paired_race import Fresh, Holder, paired_race, what_counts
 from cgtorch.improvement.rivals import best, candidates, compared, halved, next_rival, simplest
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import EVERY, SAMPLES, TRAIL, Tuning, begun, calmed, update
+from cgtorch.improvement.tuning import EVERY, SAMPLES, Tuning, begun, calmed, update
 
 OFTEN = 5  # generations after which the mean of a holder that stays is known better
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
@@ -99,9 +100,8 @@ class MeanSearch:
         costs, tests and races may cost half as much as the search, which goes on until then.
         """
         holder = state.holder
-        if holder is None or holder.count < self.fresh.pace.known:
-            return False
-        if state.left(TESTING) < 0 and not self.fresh.pace.together:
+        paid = self.fresh.pace.together or state.left(TESTING) >= 0
+        if holder is None or holder.count < self.fresh.pace.known or not paid:
             return False
         error = CERTAIN * holder.error if holder.count >= TRIED else 0.0
         return holder.mean - error >= self.setup.budget.satisfied
@@ -117,8 +117,8 @@ class MeanSearch:
         if returns and holder is not None and generation.best < holder.mean:
             return state
         champion, tuning = self.skill_of(generation.champion.graphs), state.tuning
-        winning = tuning is not None and tuning.winning and tuning.fits(champion.graph)
-        if winning and not self.fresh.pace.together:
+        tuned = tuning is not None and tuning.winning and tuning.fits(champion.graph)
+        if tuned and not self.fresh.pace.together:
             return state
         state, won = self._raced(state, champion, generator)
         return self._followed(state, champion.graph) if won else state
@@ -130,15 +130,13 @@ class MeanSearch:
         before becomes a rival.
         """
         actions, young = self.setup.actions, compared(state.rivals)
-        racing = (each for each in state.rivals if each.alone or not young)
-        every = (each for each in (state.tuning, *racing) if each is not None)
-        fit = [each for each in every if each.fits(graph)]
+        known = [each for each in (*state.rivals, state.tuning) if each is not None]
+        racing = [each for each in known if each is state.tuning or each.alone or not young]
+        fit = [each for each in racing if each.fits(graph)]
         if not fit:
             return state
         nearest = min(fit, key=lambda each: each.distance(graph, actions))
-        rivals = tuple(
-            each for each in (*state.rivals, state.tuning) if each not in (None, nearest)
-        )
+        rivals = tuple(each for each in known if each is not nearest)
         return replace(state, tuning=nearest.moved(graph, actions), rivals=rivals)
 
     @property
@@ -207,22 +205,6 @@ class MeanSearch:
         """Whether the mean of a tuning may race: its episodes may be far longer than samples'."""
         return state.left(self.fresh.pace.racing) > 0
 
-    def _promoted(self, state: State, tuning: Tuning) -> State | None:
-        """The state with the mean of a tuning as the holder, if the latest means were better.
-
-        Where steps are what costs, a race between two good skills costs more than it is worth. So
-        what the latest means of a tuning got on fresh scenarios counts for the present one. Those
-        of a rival have to be better by a standard error of both, as it begins anew. What goes on
-        tends to become better, so that as good is enough.
-        """
-        holder, trail = state.holder, torch.tensor(tuning.trail, dtype=torch.float64)
-        if holder is None or holder.count < TRAIL or len(trail) < TRAIL:
-            return None
-        error = math.hypot(holder.error, float(trail.std()) / math.sqrt(TRAIL))
-        if not float(trail.mean()) >= holder.mean + (0.0 if tuning is state.tuning else error):
-            return None
-        return state.held_by(Holder(self._mean_of(tuning)).met(trail))
-
     def _seen(self, tuning: Tuning, generator: Generator) -> Tuning:
         """A tuning after its mean has been tried where a race is due, and steps are what costs."""
         if not tuning.due or self.fresh.pace.together:
@@ -279,13 +261,15 @@ class MeanSearch:
 
         While there are too few latest means, a race decides, unless races have had their share.
         """
-        if promoted := self._promoted(state, tuning):
-            return promoted, tuning.raced(won=True), True
-        if state.holder is not None and min(state.holder.count, len(tuning.trail)) >= TRAIL:
+        mean = self._mean_of(tuning)
+        if better(state.holder, tuning, goes_on=tuning is state.tuning):
+            holder = Holder(mean).met(torch.tensor(tuning.trail))
+            return state.held_by(holder), tuning.raced(won=True), True
+        if decide(state.holder, tuning):
             return state, tuning.raced(won=False), False
         if not self._affords(state):
             return state, tuning, False
-        state, won = self._raced(state, self._mean_of(tuning), generator)
+        state, won = self._raced(state, mean, generator)
         return state, tuning.raced(won), won
 
     def _mean_of(self, tuning: Tuning) -> Skill:

@@ -1,5 +1,7 @@
 """The latest means of a tuning decide without a race, where steps are what costs."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -9,6 +11,7 @@ from lottery_search import HELD, PLAYED, after_one, search_of, tuned
 from support import same, seeded
 
 from cgtorch.improvement.expected_state import State
+from cgtorch.improvement.latest_means import better
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
 from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.tuning import EVERY, SAMPLES, TRAIL
@@ -91,3 +94,23 @@ def test_means_are_tried_where_races_are_due_and_steps_are_what_costs() -> None:
     full = tuned(staking(1.0), trail=(1.0, 2.0, 3.0, 4.0))
     assert full.seen(5.0).trail == (2.0, 3.0, 4.0, 5.0)
     assert full.moved(staking(0.5).graph, ACTIONS).trail == ()  # which are of other means
+
+
+def test_the_latest_means_have_to_be_better_by_the_error_of_both() -> None:
+    def promoted(values: Sequence[float], *trail: float, holds: bool = False) -> bool:
+        holder = Holder(staking(-1.0)).met(torch.tensor(values))
+        return better(holder, tuned(staking(1.0), trail=trail), holds)
+
+    error = math.sqrt(5 / 3) / math.sqrt(TRAIL)  # of 1, 2, 3 and 4
+    for more, wanted in ((1e-3, False), (-1e-3, True)):
+        assert promoted([2.5 - error + more] * 9, 1.0, 2.0, 3.0, 4.0) is wanted
+        assert promoted([1.0, 2.0, 3.0, 4.0], *[2.5 + error - more] * TRAIL) is wanted
+        both = math.sqrt(2) * error
+        shifted = [each + both - more for each in (1.0, 2.0, 3.0, 4.0)]
+        assert promoted([1.0, 2.0, 3.0, 4.0], *shifted) is wanted
+    assert not promoted([1.0] * 9, *[1.0 - 1e-3] * TRAIL)
+    assert not promoted([0.0, 2.0] * 9, *[1.0] * TRAIL)
+    assert promoted([0.0, 2.0] * 9, *[1.0] * TRAIL, holds=True)  # as good is enough for it
+    assert not promoted([0.0, 2.0] * 9, *[0.999] * TRAIL, holds=True)
+    assert promoted([1e8] * 9, *[1e8 + 1] * TRAIL)  # which single precision cannot tell apart
+    assert not better(None, tuned(staking(1.0), trail=(9.0,) * TRAIL), False)
