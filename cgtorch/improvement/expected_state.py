@@ -11,6 +11,7 @@ from cgtorch.evolution.ask_and_tell import VECTORS, damage, population_named, po
 from cgtorch.evolution.cma import Distribution
 from cgtorch.evolution.population import initial_strategy
 from cgtorch.graphs import ActionSet, Graphs, Skill
+from cgtorch.improvement.horizon import Horizon
 from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.spread import Need
 from cgtorch.improvement.tuning import Tuning
@@ -135,7 +136,8 @@ def _tensors_of(part: str, tuning: Tuning) -> dict[str, Tensor]:
         **population_tensors(part, _alone(tuning.graph)),
         **{f"{part}.{name}": getattr(about, name) for name in VECTORS},
         f"{part}.step": torch.tensor(about.step, dtype=torch.float64),
-        f"{part}.horizon": torch.tensor([tuning.horizon, *tuning.trail], dtype=torch.float64),
+        f"{part}.episodes": torch.tensor(astuple(tuning.horizon), dtype=torch.float64),
+        f"{part}.trail": torch.tensor(tuning.trail, dtype=torch.float64),
         f"{part}.counts": torch.tensor(counts),
         f"{part}.recent": torch.tensor(
             [tuning.toll, tuning.mark, tuning.reliability, *tuning.recent], dtype=torch.float64
@@ -153,8 +155,10 @@ def _from_tensors(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> 
     graph = population_named(part, tensors, actions)[:1].graphs
     toll, mark, reliable, *recent = tensors[f"{part}.recent"].tolist()
     # Runs of earlier versions have none.
-    horizon, *trail = tensors.get(f"{part}.horizon", torch.tensor([inf])).tolist()
+    steps, starts, *rest = tensors.get(f"{part}.episodes", torch.tensor([inf, 1])).tolist()
+    trail = tensors.get(f"{part}.trail", torch.empty(0)).tolist()
     counts = scenarios, toll, bool(alone), lost, reliable
+    horizon = Horizon(steps, int(starts), *rest)
     return Tuning(graph, about, *counts, tuple(recent), mark, horizon, tuple(trail))
 
 

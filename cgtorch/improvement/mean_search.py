@@ -19,16 +19,18 @@ from cgtorch.evolution.selection import ranking
 from cgtorch.graphs import Graphs, Skill, compacted, merged
 from cgtorch.ground.errors import SettingsError
 from cgtorch.improvement.expected_state import State
+from cgtorch.improvement.latest_means import better, decide
 from cgtorch.improvement.paired_race import Fresh, Holder, paired_race, what_counts
 from cgtorch.improvement.rivals import best, candidates, compared, halved, next_rival, simplest
 from cgtorch.improvement.setup import Setup
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import EVERY, SAMPLES, TRAIL, Tuning, begun, calmed, update
+from cgtorch.improvement.tuning import EVERY, SAMPLES, Tuning, begun, calmed, update
 
 OFTEN = 5  # generations after which the mean of a holder that stays is known better
 LARGEST = 8  # the search has played so many times as many episodes as an update or a generation
 TRIED, CERTAIN = 100, 2.0  # values with which it has to hold, by so many standard errors
+TESTING = 2  # the search executes so many times as many actions as tests and races
 UNTUNED = 10  # episodes that tell what a graph is worth before it is tuned
 ENDLESS = 10  # generations in which no episode ends, after which a search is hopeless
 
@@ -94,10 +96,12 @@ class MeanSearch:
     def _promising(self, state: State) -> bool:
         """Whether the mean of the holder, as far as it is known, has reached the target.
 
-        Once it is known well, it has to be above the target by its error.
+        Once it is known well, it has to be above the target by its error. Where steps are what
+        costs, tests and races may cost half as much as the search, which goes on until then.
         """
         holder = state.holder
-        if holder is None or holder.count < self.fresh.pace.known:
+        paid = self.fresh.pace.together or state.left(TESTING) >= 0
+        if holder is None or holder.count < self.fresh.pace.known or not paid:
             return False
         error = CERTAIN * holder.error if holder.count >= TRIED else 0.0
         return holder.mean - error >= self.setup.budget.satisfied
@@ -106,28 +110,33 @@ class MeanSearch:
         """The state after a race of the champion, from which tuning goes on if it has its nodes.
 
         The best of many has been lucky, so it has no chance if even its own return is less than the
-        holder's mean.
+        holder's mean. Where steps are what costs, one does not race whose parameters are being
+        tuned with success.
         """
         returns, holder = self.setup.evolution.fitness is episode_return, state.holder
         if returns and holder is not None and generation.best < holder.mean:
             return state
-        champion = self.skill_of(generation.champion.graphs)
+        champion, tuning = self.skill_of(generation.champion.graphs), state.tuning
+        tuned = tuning is not None and tuning.winning and tuning.fits(champion.graph)
+        if tuned and not self.fresh.pace.together:
+            return state
         state, won = self._raced(state, champion, generator)
         return self._followed(state, champion.graph) if won else state
 
     def _followed(self, state: State, graph: Graphs) -> State:
         """The state in which the tuning with the same nodes that is nearest goes on from a graph.
 
-        It may be a rival that races, whose mean was a guest of the generation.
+        It may be a rival that races, whose mean was a guest of the generation. Then what was tuned
+        before becomes a rival.
         """
         actions, young = self.setup.actions, compared(state.rivals)
-        racing = (each for each in state.rivals if each.alone or not young)
-        every = (each for each in (state.tuning, *racing) if each is not None)
-        fit = [each for each in every if each.fits(graph)]
+        known = [each for each in (*state.rivals, state.tuning) if each is not None]
+        racing = [each for each in known if each is state.tuning or each.alone or not young]
+        fit = [each for each in racing if each.fits(graph)]
         if not fit:
             return state
         nearest = min(fit, key=lambda each: each.distance(graph, actions))
-        rivals = tuple(each for each in state.rivals if each is not nearest)
+        rivals = tuple(each for each in known if each is not nearest)
         return replace(state, tuning=nearest.moved(graph, actions), rivals=rivals)
 
     @property
@@ -169,6 +178,12 @@ class MeanSearch:
         if holder is None or (number % OFTEN and holder.count):
             return state
         count = max(self.fresh.pace.known, state.need.scenarios)
+        return self._known_better(state, holder, count, generator)
+
+    def _known_better(
+        self, state: State, holder: Holder, count: int, generator: Generator
+    ) -> State:
+        """The state with so many further values of the holder."""
         before = self.fresh.executed
         values = self.fresh.of_skills([holder.skill], count, generator)[0]
         raced = state.spent.raced + self.fresh.executed - before
@@ -189,20 +204,6 @@ class MeanSearch:
     def _affords(self, state: State) -> bool:
         """Whether the mean of a tuning may race: its episodes may be far longer than samples'."""
         return state.left(self.fresh.pace.racing) > 0
-
-    def _promoted(self, state: State, tuning: Tuning) -> State | None:
-        """The state with the mean of a tuning as the holder, if the latest means were better.
-
-        Where steps are what costs, a race between two good skills costs more than it is worth. So
-        what the latest means of a tuning got on fresh scenarios counts for the present one.
-        """
-        holder, trail = state.holder, torch.tensor(tuning.trail, dtype=torch.float64)
-        if holder is None or holder.count < TRAIL or len(trail) < TRAIL:
-            return None
-        error = math.hypot(holder.error, float(trail.std()) / math.sqrt(TRAIL))
-        if not float(trail.mean()) > holder.mean + error:
-            return None
-        return state.held_by(Holder(self._mean_of(tuning)))
 
     def _seen(self, tuning: Tuning, generator: Generator) -> Tuning:
         """A tuning after its mean has been tried where a race is due, and steps are what costs."""
@@ -258,17 +259,18 @@ class MeanSearch:
     ) -> tuple[State, Tuning, bool]:
         """The state after the mean of a tuning has challenged the holder, and whether it has won.
 
-        If the latest means do not decide, a race does; where races have had their share, these
-        means have lost.
+        While there are too few latest means, a race decides, unless races have had their share.
         """
-        if promoted := self._promoted(state, tuning):
-            return promoted, tuning.raced(won=True), True
-        if self._affords(state):
-            state, won = self._raced(state, self._mean_of(tuning), generator)
-            return state, tuning.raced(won), won
-        known = state.holder is not None and state.holder.count >= TRAIL
-        lost = known and len(tuning.trail) == TRAIL
-        return state, tuning.raced(won=False) if lost else tuning, False
+        mean = self._mean_of(tuning)
+        if better(state.holder, tuning, goes_on=tuning is state.tuning):
+            holder = Holder(mean).met(torch.tensor(tuning.trail))
+            return state.held_by(holder), tuning.raced(won=True), True
+        if decide(state.holder, tuning):
+            return state, tuning.raced(won=False), False
+        if not self._affords(state):
+            return state, tuning, False
+        state, won = self._raced(state, mean, generator)
+        return state, tuning.raced(won), won
 
     def _mean_of(self, tuning: Tuning) -> Skill:
         """The skill of a tuning's mean."""
@@ -288,7 +290,8 @@ class MeanSearch:
             return replace(state, tuning=tuning)
         if not tuning.improving:
             state = replace(state, rivals=self._with_toll(state, tuning, generator))
-        state = replace(state, rivals=self._with_split(state, tuning))
+        if self.fresh.pace.together or not tuning.improving:
+            state = replace(state, rivals=self._with_split(state, tuning))
         more = tuning.more() if LARGEST * episodes <= state.spent.episodes else None
         return replace(state, tuning=more, settled=more is None)
 
@@ -343,6 +346,5 @@ class MeanSearch:
             missing = min(holder.count, TRIED - holder.count)
             if missing <= 0:
                 return state, True
-            values = self.fresh.of_skills([holder.skill], missing, generator)[0]
-            state = replace(state, holder=holder.met(values))
+            state = self._known_better(state, holder, missing, generator)
         return state, False

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Generator, Tensor
@@ -16,7 +16,7 @@ from cgtorch.evolution.cma import (
 )
 from cgtorch.evolution.lineages import tunable
 from cgtorch.graphs import ActionSet, Graphs, concatenate, trimmed, widened
-from cgtorch.improvement.horizon import Played, played_until
+from cgtorch.improvement.horizon import Horizon, Played, played_until
 from cgtorch.improvement.paired_race import Fresh
 from cgtorch.improvement.spread import MANY, Need
 
@@ -56,7 +56,7 @@ class Tuning:
         recent: The mean values of the better half of samples, in each of the last updates, or in
             the last one with whole episodes.
         mark: The level when races were last lost in a row.
-        horizon: Steps after which episodes of updates are truncated, most of the time.
+        horizon: How far episodes of updates are played, most of the time.
         trail: What its mean was worth on fresh scenarios after each of the last `TRAIL` races that
             were due.
     """
@@ -70,7 +70,7 @@ class Tuning:
     reliability: float = Need.reliability
     recent: tuple[float, ...] = ()
     mark: float = -math.inf
-    horizon: float = math.inf
+    horizon: Horizon = field(default_factory=Horizon)
     trail: tuple[float, ...] = ()
 
     def mean(self, actions: ActionSet) -> Graphs:
@@ -121,12 +121,6 @@ class Tuning:
     def level(self) -> float:
         """The mean of `recent`, -inf before the first update."""
         return sum(self.recent) / len(self.recent) if self.recent else -math.inf
-
-    @property
-    def whole(self) -> bool:
-        """Whether the next update has whole episodes: the first one, and those before races."""
-        updates = self.distribution.updates
-        return updates == 0 or (updates + 1) % EVERY == 0
 
     @property
     def due(self) -> bool:
@@ -214,11 +208,11 @@ def update(
     """
     divides = not fresh.pace.together and all(each.apart for each in tunings)
     parts = PARTS if divides else 1
-    horizon = max(math.inf if each.whole else each.horizon for each in tunings)
+    whole = any(each.horizon.whole for each in tunings)
     found = [(each, False) for each in tunings]
     for _ in range(parts):
         after = [tuning for tuning, _ in found]
-        found = _updated(after, actions, fresh, generator, horizon, most, parts)
+        found = _updated(after, actions, fresh, generator, whole, most, parts)
     return [(new.counted(old), long) for old, (new, long) in zip(tunings, found, strict=True)]
 
 
@@ -227,11 +221,11 @@ def _updated(
     actions: ActionSet,
     fresh: Fresh,
     generator: Generator,
-    horizon: float,
+    whole: bool,
     most: int,
     parts: int,
 ) -> list[tuple[Tuning, bool]]:
-    """The tunings after an update by one of so many parts of the samples, up to a horizon."""
+    """The tunings after an update by one of so many parts of the samples, whole or truncated."""
     drawn = [_samples(each, parts, generator) for each in tunings]
     graphs = [
         with_parameters(each.graph, tunable(each.graph, actions), rows)
@@ -240,9 +234,19 @@ def _updated(
     nodes = max(each.capacity for each in graphs)
     every = concatenate([widened(each, nodes) for each in graphs])
     scenarios = max(each.scenarios for each in tunings)
-    world = fresh.world(scenarios, generator)
-    played = played_until(horizon, fresh, every, actions, world).split([len(x) for x in drawn])
-    return [_after(*about, horizon, most) for about in zip(tunings, drawn, played, strict=True)]
+    starts = max(each.horizon.starts for each in tunings)
+    before = max(each.horizon.steps for each in tunings)
+    counts, about = [len(x) for x in drawn], (fresh, every, actions)
+    if not whole:
+        some = played_until(before, *about, fresh.world(max(scenarios, starts), generator))
+        rows = zip(tunings, drawn, some.split(counts), strict=True)
+        return [(_after_truncated(*row, most, parts), False) for row in rows]
+    ranked = played = played_until(math.inf, *about, fresh.world(scenarios, generator), before)
+    if starts > scenarios:
+        others = played_until(before, *about, fresh.world(starts - scenarios, generator))
+        ranked = played.until(before).beside(others)
+    each = zip(tunings, drawn, played.split(counts), ranked.split(counts), strict=True)
+    return [_after_whole(*row, most) for row in each]
 
 
 def _samples(tuning: Tuning, parts: int, generator: Generator) -> Tensor:
@@ -251,26 +255,40 @@ def _samples(tuning: Tuning, parts: int, generator: Generator) -> Tensor:
     return sampled(tuning.distribution, count, generator)
 
 
-def _after(
-    tuning: Tuning, drawn: Tensor, played: Played, horizon: float, most: int
-) -> tuple[Tuning, bool]:
-    """A tuning after samples (λ, n) have played up to a horizon."""
-    values, alike = played.values, flat(played.values)
-    distribution = updated(tuning.distribution, drawn, played.worth(tuning.toll))
+def _after(tuning: Tuning, drawn: Tensor, ranked: Played, values: Tensor, most: int) -> Tuning:
+    """A tuning after samples (λ, n) are ranked, with more scenarios if luck is in values (λ, B)."""
+    distribution = updated(tuning.distribution, drawn, ranked.worth(tuning.toll))
     need = Need(tuning.scenarios, tuning.reliability).after(values, most)
     scenarios = max(tuning.scenarios, need.scenarios)
-    after = replace(tuning, scenarios=scenarios, reliability=need.reliability)
-    if horizon < math.inf:
-        longer = math.inf if alike else horizon
-        return replace(after, distribution=distribution, horizon=longer), False
-    step = min(WIDEST, distribution.step * (WIDER if alike else 1.0))
+    return replace(
+        tuning, distribution=distribution, scenarios=scenarios, reliability=need.reliability
+    )
+
+
+def _after_truncated(
+    tuning: Tuning, drawn: Tensor, played: Played, most: int, parts: int
+) -> Tuning:
+    """A tuning after samples (λ, n), one of so many parts, have played up to its horizon."""
+    after = _after(tuning, drawn, played, played.values[:, : tuning.scenarios], most)
+    horizon = tuning.horizon.truncated(played, flat(played.values), 1 / parts)
+    return replace(after, horizon=horizon)
+
+
+def _after_whole(
+    tuning: Tuning, drawn: Tensor, played: Played, ranked: Played, most: int
+) -> tuple[Tuning, bool]:
+    """A tuning after samples (λ, n) have played whole episodes, and are ranked by these or less."""
+    values = played.values
+    after = _after(tuning, drawn, ranked, values, most)
+    grown = WIDER if flat(values) else 1.0
+    step = min(WIDEST, after.distribution.step * grown)
     upper = values.mean(1).sort(descending=True).values[: len(values) // 2]
-    earlier = tuning.recent if tuning.horizon == math.inf else ()
+    earlier = tuning.recent if tuning.horizon.steps == math.inf else ()
     after = replace(
         after,
-        distribution=replace(distribution, step=step),
+        distribution=replace(after.distribution, step=step),
         recent=(*earlier, float(upper.mean()))[-RECENT:],
-        horizon=played.horizon(tuning.horizon, tuning.toll),
+        horizon=tuning.horizon.chosen(played, tuning.toll),
     )
     return after, mainly_lengths(values, played.lengths)
 

@@ -15,6 +15,7 @@ from cgtorch.improvement.expected_state import (
     state_from_tensors,
     tensors_of_state,
 )
+from cgtorch.improvement.horizon import Horizon
 from cgtorch.improvement.pace import BY_STEP
 from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.spread import Need
@@ -108,8 +109,8 @@ def read(state: State, given: bool = False) -> State:
 def test_what_is_kept_is_what_is_read(given: bool) -> None:
     one, two = tuning(lost=2), tuning(0.25)
     one = replace(one, scenarios=7, alone=True, reliability=0.75, recent=(1.5, 2.5), mark=-3.0)
-    two = replace(two, distribution=replace(two.distribution, updates=3, step=0.3), horizon=48.0)
-    two = replace(two, trail=(1.0, -2.5))
+    two = replace(two, distribution=replace(two.distribution, updates=3, step=0.3))
+    two = replace(two, trail=(1.0, -2.5), horizon=Horizon(62.5, 4, 0.25, 1000.0, 248.0, 1.5))
     holder = Holder(staking(0.3, 0.1), 3.5, 7.25, 4)
     spent, need = Spent(1, 2, 3, 4, 5, 6, 7), Need(12, 0.625)
     state = State(holder, one, (two, one), True, True, need, spent)
@@ -142,11 +143,11 @@ def test_a_search_of_an_earlier_version_goes_on(toll: float) -> None:
 
 
 def test_a_tuning_of_an_earlier_version_has_whole_episodes() -> None:
-    tensors = tensors_of_state(State(tuning=replace(tuning(), horizon=48.0)), None)
-    del tensors["tuning.horizon"]
+    tensors = tensors_of_state(State(tuning=replace(tuning(), horizon=Horizon(48.0))), None)
+    del tensors["tuning.episodes"], tensors["tuning.trail"]
     found = state_from_tensors(tensors, ACTIONS, LIKE, None).tuning
     assert found is not None
-    assert (found.horizon, found.trail) == (torch.inf, ())
+    assert (found.horizon, found.trail) == (Horizon(), ())
 
 
 def test_a_holder_that_was_given_must_be_given_again() -> None:

@@ -10,7 +10,7 @@ from lottery_search import tuned
 from support import seeded
 
 from cgtorch.graphs import ActionSet, Graphs, LinearNN, Step
-from cgtorch.improvement.horizon import Played
+from cgtorch.improvement.horizon import Horizon, Played
 from cgtorch.improvement.spread import MANY
 from cgtorch.improvement.tuning import (
     CONVERGED,
@@ -19,18 +19,27 @@ from cgtorch.improvement.tuning import (
     RECENT,
     RELATIVE,
     Tuning,
-    _after,
+    _after_truncated,
+    _after_whole,
     begun,
 )
 
 
-def after(tuning: Tuning, values: torch.Tensor, horizon: float = inf) -> tuple[Tuning, bool]:
-    """A tuning after samples that got these values (P, B), the later ones in longer episodes."""
+def rows(values: torch.Tensor) -> tuple[torch.Tensor, Played]:
+    """Samples that got these values (P, B), the later ones in longer episodes."""
     drawn = torch.randn(len(values), 2, generator=seeded(0)).double()
     lengths = 1 + torch.arange(len(values))[:, None].expand(values.shape)
     early = values.new_zeros(*values.shape, 0)
-    played = Played(values.double(), lengths, values.new_zeros(values.shape), early)
-    return _after(tuning, drawn, played, horizon, MOST)
+    return drawn, Played(values.double(), lengths, values.new_zeros(values.shape), early)
+
+
+def after(tuning: Tuning, values: torch.Tensor) -> tuple[Tuning, bool]:
+    drawn, played = rows(values)
+    return _after_whole(tuning, drawn, played, played, MOST)
+
+
+def after_truncated(tuning: Tuning, values: torch.Tensor) -> Tuning:
+    return _after_truncated(replace(tuning, horizon=Horizon(5.0)), *rows(values), MOST, 1)
 
 
 def test_a_level_is_the_mean_of_the_better_half_in_the_last_updates() -> None:
@@ -41,10 +50,10 @@ def test_a_level_is_the_mean_of_the_better_half_in_the_last_updates() -> None:
     assert found.recent == (2.0, 3.0, 4.0, (8.5 + 5.5) / 2)
     assert not long
     assert found.level == pytest.approx(4.0)
-    assert after(replace(one, horizon=9.0), values)[0].recent == (7.0,)
-    truncated, long = after(one, values, 5.0)
-    assert (truncated.recent, truncated.horizon, long) == (one.recent, 5.0, False)
-    assert after(one, torch.ones(5, 2), 5.0)[0].horizon == inf
+    assert after(replace(one, horizon=Horizon(9.0)), values)[0].recent == (7.0,)
+    truncated = after_truncated(one, values)
+    assert (truncated.recent, truncated.horizon.steps) == (one.recent, 5.0)
+    assert after_truncated(one, torch.ones(5, 2)).horizon.steps == inf
     many = replace(one, scenarios=10, reliability=1.0)
     assert after(many, torch.arange(5.0)[:, None].expand(5, 2))[0].scenarios == 10
     lengths = torch.arange(5.0)[:, None] + torch.rand(5, 2, generator=seeded(1))

@@ -16,13 +16,14 @@ from cgtorch.improvement.mean_search import (
     CERTAIN,
     LARGEST,
     OFTEN,
+    TESTING,
     TRIED,
 )
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
 from cgtorch.improvement.paired_race import Fresh, Holder
 from cgtorch.improvement.split import split
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import EVERY, PATIENCE, SAMPLES
+from cgtorch.improvement.tuning import DOUBTFUL, EVERY, PATIENCE, SAMPLES
 from cgtorch.simulation import Rollouts
 
 
@@ -136,11 +137,11 @@ def test_the_nearest_of_what_is_tuned_goes_on_from_a_champion_that_wins() -> Non
     champion = replace(generation.champion, graphs=widened(staking(1.0).graph, 4))
     later = replace(generation, champion=champion, number=1)
     holder = Holder(staking(-9.0)).met(torch.full((50,), -9.0))
-    near, far, other = tuned(staking(1.0), lost=3), tuned(staking(0.2)), tuned(staking(0.1))
-    racing = replace(near, alone=True)
+    near, other = tuned(staking(1.0), lost=DOUBTFUL), tuned(staking(0.1))
+    far, racing = tuned(staking(0.2), lost=DOUBTFUL), replace(near, alone=True)
     for tuning, rivals, left in (
-        (far, (near,), ()),
-        (far, (other, racing), (other,)),
+        (far, (near,), (far,)),
+        (far, (other, racing), (other, far)),
         (near, (far, other), (far, other)),
         (None, (racing, other, other), (other, other)),
     ):
@@ -151,6 +152,12 @@ def test_the_nearest_of_what_is_tuned_goes_on_from_a_champion_that_wins() -> Non
         assert after.tuning is not None
         assert after.tuning.distribution is near.distribution
         assert (after.tuning.lost, after.rivals) == (0, left)
+    wins = replace(far, lost=DOUBTFUL - 1)  # its parameters are tuned with success
+    state = State(holder, wins, (near,), spent=PLAYED)
+    assert search._champion_raced(state, later, seeded(1)) is state
+    together = search_of(pace=BY_ROLLOUT)._champion_raced(state, later, seeded(1))
+    assert together.holder is not None
+    assert together.holder.skill is not holder.skill
     better = Holder(staking(1.0)).met(torch.full((50,), 9.0))
     losing = State(better, far, (racing,), spent=PLAYED)
     after = search._champion_raced(losing, replace(later, best=99.0), seeded(1))
@@ -211,12 +218,13 @@ def test_the_target_is_reached_by_a_mean_that_is_known_well() -> None:
     search = search_of(satisfied=1.5)
     good, lucky = Holder(staking(1.0)), Holder(staking(-1.0))
     few = torch.full((16,), 1.8)
-    state, reached = search.certain(State(holder=good.met(few)), seeded(0))
+    state, reached = search.certain(State(holder=good.met(few), spent=PLAYED), seeded(0))
     assert reached
+    assert state.spent.raced == PLAYED.raced + TRIED - len(few)
     assert state.holder is not None
     assert state.holder.count == TRIED
     assert search.fresh.episodes == TRIED - len(few)
-    state, reached = search.certain(State(holder=lucky.met(few)), seeded(0))
+    state, reached = search.certain(State(holder=lucky.met(few), spent=PLAYED), seeded(0))
     assert not reached
     assert state.holder is not None
     assert len(few) < state.holder.count < TRIED  # after which its luck is over
@@ -236,6 +244,23 @@ def test_the_target_is_reached_by_a_mean_that_is_known_well() -> None:
         generation = replace(generation_of(other), number=1)
         about = State(holder=known, spent=Spent(episodes=10**4)), generation, seeded(1)
         assert (len(list(other.after(*about))) == 1) is wanted
+
+
+def test_tests_are_paid_by_the_search_where_steps_are_what_costs() -> None:
+    few = torch.full((16,), 1.8)
+    for searched, pace, known in (
+        (16 * TESTING - 1, BY_STEP, 32),
+        (16 * TESTING, BY_STEP, 64),  # then more was executed than is paid
+        (48 * TESTING - 1, BY_STEP, 64),
+        (84 * TESTING, BY_STEP, TRIED),
+        (0, BY_ROLLOUT, TRIED),
+    ):
+        search = search_of(satisfied=1.5, pace=pace)
+        spent = Spent(searched=searched)
+        state = State(holder=Holder(staking(1.0)).met(few), spent=spent)
+        state, reached = search.certain(state, seeded(0))
+        assert state.holder is not None
+        assert (state.holder.count, reached) == (known, known == TRIED)
 
 
 def test_a_mean_that_loses_race_after_race_has_more_scenarios_or_makes_room() -> None:
@@ -341,3 +366,7 @@ def test_what_stalls_is_split_once() -> None:
     assert [each.alone for each in state.rivals] == [False, True]
     again = after_one(State(HELD, worse, state.rivals[1:], spent=PLAYED), actions=actions)
     assert len(again.rivals) == 1
+    better = replace(worse, mark=-9.0)  # its samples are worth more by now
+    for pace, count in ((BY_STEP, 1), (BY_ROLLOUT, 2)):
+        later = after_one(State(HELD, better, (rival,), spent=PLAYED), pace, actions)
+        assert len(later.rivals) == count

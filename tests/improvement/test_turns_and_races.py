@@ -1,7 +1,6 @@
 """Steps of a search for the best mean: whose turn it is, and what races may cost and decide."""
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -23,7 +22,7 @@ from cgtorch.improvement.mean_search import ENDLESS, LARGEST, TRIED
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
 from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.spread import FEWEST, Need
-from cgtorch.improvement.tuning import EVERY, FEW, PATIENCE, SAMPLES, TRAIL, Tuning
+from cgtorch.improvement.tuning import EVERY, FEW, PATIENCE, SAMPLES, Tuning
 
 
 def test_a_search_is_hopeless_after_some_generations_without_a_return() -> None:
@@ -98,27 +97,6 @@ def test_a_race_is_afforded_while_anything_is_left() -> None:
     spent = Spent(searched=10 * BY_STEP.racing, raced=10)
     assert not search._affords(State(spent=spent))
     assert search._affords(State(spent=replace(spent, raced=9)))
-
-
-def test_the_latest_means_have_to_be_better_by_the_error_of_both() -> None:
-    search = search_of()
-
-    def promoted(values: Sequence[float], *trail: float) -> bool:
-        holder = Holder(staking(-1.0)).met(torch.tensor(values))
-        found = search._promoted(State(holder), tuned(staking(1.0), trail=trail))
-        assert found is None or (found.holder is not None and found.holder.count == 0)
-        return found is not None
-
-    error = math.sqrt(5 / 3) / math.sqrt(TRAIL)  # of 1, 2, 3 and 4
-    for more, better in ((1e-3, False), (-1e-3, True)):
-        assert promoted([2.5 - error + more] * 9, 1.0, 2.0, 3.0, 4.0) is better
-        assert promoted([1.0, 2.0, 3.0, 4.0], *[2.5 + error - more] * TRAIL) is better
-        both = math.sqrt(2) * error
-        shifted = [each + both - more for each in (1.0, 2.0, 3.0, 4.0)]
-        assert promoted([1.0, 2.0, 3.0, 4.0], *shifted) is better
-    assert not promoted([1.0] * 9, *[1.0] * TRAIL)
-    assert promoted([1e8] * 9, *[1e8 + 1] * TRAIL)  # which single precision cannot tell apart
-    assert search._promoted(State(), tuned(staking(1.0), trail=(9.0,) * TRAIL)) is None
 
 
 def test_the_holder_is_tuned_unless_that_was_of_no_use_or_it_has_other_actions() -> None:
