@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from cgtorch.native import required, threads
+from cgtorch.native import required, threads_worth
 from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.clear_ways import (
     APPROACH,
@@ -164,8 +164,7 @@ def _grasps_in_closed_form(
         steps=LINE, near=NEAR, tried=TRIED, few=FEW, sparse=SPARSE, most_step=MAX_STEP,
         most_turn=MAX_TURN,
     )  # fmt: skip
-    shared = max(1, min(threads(), count // WORTH_SHARING))
-    if library.functions["grasps_found"](task, shared):
+    if library.functions["grasps_found"](task, threads_worth(count, WORTH_SHARING)):
         raise MemoryError("no memory to look for grasps; give the process more")
     kept = state.nonzero()[:, 0]
     straight = state[kept] == STRAIGHT

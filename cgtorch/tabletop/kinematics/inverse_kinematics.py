@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.native import required, threads
+from cgtorch.native import required, threads_worth
 from cgtorch.tabletop.kinematics.solids import Tensors
 
 PAN_SAMPLES = 48
@@ -183,7 +183,7 @@ def _solutions(
         form=form_structure(form, mount), pose=pose, pan=pan, branch=branch, q=q, reached=reached,
         poses=rows, tries=tries,
     )  # fmt: skip
-    library.functions["arm_solutions"](task, max(1, min(threads(), rows // WORTH_SHARING)))
+    library.functions["arm_solutions"](task, threads_worth(rows, WORTH_SHARING))
     return q, reached
 
 

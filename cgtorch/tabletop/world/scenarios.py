@@ -199,8 +199,8 @@ def _along_an_edge(sides: Tensor, pick: Tensor, along: Tensor, inset: Tensor) ->
     share = sides[:, 1] / sides.sum(1)  # of the perimeter, that the edges across x have
     across_x = pick < share
     part = torch.where(across_x, pick / share, (pick - share) / (1 - share))
-    sign = torch.where(part < 0.5, -1.0, 1.0)
-    out, length = (half - inset[:, None]) * sign[:, None], (half - CORNER) * along[:, None]
+    out, length = half - inset[:, None], (half - CORNER) * along[:, None]
+    out = torch.where((part < 0.5)[:, None], -out, out)
     x_edge = torch.stack([out[:, 0], length[:, 1]], 1)
     y_edge = torch.stack([length[:, 0], out[:, 1]], 1)
     return torch.where(across_x[:, None], x_edge, y_edge)

@@ -151,6 +151,8 @@ def test_what_has_a_way_is_graspable_and_has_a_posture(robot_and_ways):
     assert torch.equal(ways.found, graspable(robot, position, table))
     assert bool(has_posture(robot, position, table)[ways.found].all())
     assert 0.3 < ways.found.float().mean() < 0.9
+    if robot.description.name == "PR2":
+        assert (ways.pre_grasp[ways.found] > 1).any()  # some are planned
 
 
 def test_a_way_does_not_depend_on_the_others(robot_and_ways):
@@ -175,4 +177,16 @@ def test_the_margin_is_small_against_an_object():
 def test_no_rows(pr2):
     ways = arm_ways(pr2, torch.zeros(0, 3), torch.zeros(0, 6))
     assert ways.found.shape == (0,)
-    assert ways.joints.shape[0] == 0
+    assert ways.joints.shape == (0, 1, 7)
+
+
+def test_there_is_room_for_the_arm_with_most_joints(pr2):
+    arm = pr2.arms[1]
+    names = "lower", "upper", "continuous", "joint_names"
+    short = replace(arm, **{name: getattr(arm, name)[:6] for name in names})
+    for arms in ((arm, short), (short, arm)):
+        home = tuple(pr2.home[1][: len(each.joint_names)] for each in arms)
+        robot = replace(pr2, arms=arms, home=home)
+        robot.__dict__["scenes"] = pr2.scenes
+        ways = arm_ways(robot, torch.zeros(0, 3), torch.zeros(0, 6))
+        assert ways.joints.shape[2] == ways.back.shape[2] == 7

@@ -1,5 +1,7 @@
 """Γ: the geometry it knows, what it learns, and what it does not."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from stand_in import DEPTH, WIDTH, transitions
 
-from cgtorch.domains.transition import Grid
+from cgtorch.domains.transition import Grid, HeldOut
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.models import TableTransitionModel, geometry
@@ -85,9 +87,42 @@ def test_what_cannot_be_learnt_is_left_alone():
     p, u, q = transitions(200, 4)
     rng = np.random.default_rng(0)
     p[:, 4:6] = (p[:, [0, 2]] + p[:, [1, 3]]) / 2 + rng.uniform(-0.3, 0.3, (200, 2))  # anywhere
-    model, report = fit_transition_model(TableTransitionModel(), p, u, q, grid=GRID)
+    model, report = fit_transition_model(
+        TableTransitionModel(), p, u, q, dtype=torch.float64, grid=GRID
+    )
     assert report.choice == (None,)
     assert not model.machine.weights.any()
+    rows = _torch((p, u, q), torch.float64)
+    features, tells = model.features(*rows[:2]), model.targets(*rows)[1]
+    assert not model.machine.values(features).any()
+    known = features[tells]
+    assert len(model.machine.centres) == len(known)
+    # Novelty is told by the centres that are left.
+    again = deepcopy(model)
+    again.measure_reach(known)
+    assert float(model.reach) == pytest.approx(float(again.reach))
+
+
+def test_errors_are_those_of_values_that_were_held_out(fitted):
+    """With false ones, turning the box loosely is better."""
+    p, u, q = _torch(transitions(300, 15), torch.float64)
+    target, tells = fitted[0].targets(p, u, q)
+    assert not tells.all()
+
+    def settled(value, learnt=True):
+        model = deepcopy(fitted[0]).double()
+        held = HeldOut(tells, value[tells], target[tells], torch.tensor([learnt]))
+        return *model.settle((p, u, q), held), float(model.trust)
+
+    error, loose, trust = settled(target)
+    assert trust == 1
+    assert (error[:4] < 0.5 * loose[:4]).all()
+    wrong, same, trust = settled(-target)
+    assert trust == 0
+    assert torch.equal(wrong, same)
+    assert torch.equal(same, loose)
+    unknown, nought = settled(target, learnt=False), settled(0 * target, learnt=False)
+    assert torch.equal(unknown[0], nought[0])
 
 
 def test_a_round_table_keeps_its_box():
