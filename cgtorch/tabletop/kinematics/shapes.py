@@ -106,7 +106,7 @@ def _hull(points: Array) -> tuple[Array, float]:
     middle, axes, extent = _principal(points)
     if extent.min() >= THIN:
         try:
-            hull = ConvexHull(points - middle)
+            hull = ConvexHull(points)
             return points[hull.vertices], float(hull.volume)
         except QhullError:
             pass  # such as a million points in a plane, but for rounding

@@ -12,8 +12,9 @@ from support import tool_pose
 from test_grasping import random_scene
 from trimesh.transformations import rotation_matrix, translation_matrix
 
-from cgtorch.tabletop.kinematics import arm_ways, graspable, has_posture
-from cgtorch.tabletop.kinematics.clear_ways import MARGIN
+from cgtorch.tabletop.kinematics import arm_way, arm_ways, graspable, has_posture
+from cgtorch.tabletop.kinematics.arm_way import PLANNED
+from cgtorch.tabletop.kinematics.clear_ways import MARGIN, VIAS
 from cgtorch.tabletop.kinematics.grasp_lines import HALF, LINE
 from cgtorch.tabletop.kinematics.grasping import APPROACHES, GRASP_HEIGHT, waypoints
 from cgtorch.tabletop.kinematics.scene import OBJECT_RADIUS
@@ -76,6 +77,10 @@ def test_ways_back_lead_home(robot_and_ways):
         torch.testing.assert_close(back[0], ways.joints[row, int(ways.lifted[row])])
         home = robot.home[int(ways.arm[row])].float()
         torch.testing.assert_close(back[-1], home, atol=1e-6, rtol=0)
+        assert not torch.equal(back[-2], back[-1])
+        assert torch.equal(ways.back[row, len(back) :], back[-1:].expand(VIAS - len(back), -1))
+    assert torch.equal(ways.returns, ways.found & (ways.home_again > 0))
+    assert ways.joints.shape[1] == int(ways.lifted[ways.found].max()) + 1
 
 
 def links_of(robot, arm):
@@ -168,6 +173,41 @@ def test_a_way_does_not_depend_on_the_others(robot_and_ways):
             torch.testing.assert_close(
                 alone.joints[0, :count], ways.joints[row, :count], atol=1e-5, rtol=0
             )
+
+
+def test_few_ways_are_planned_to_an_object_from_the_first_grasp_to_the_first_way(pr2, monkeypatch):
+    """If no way is straight, and only some plans lead anywhere."""
+    position, table = random_scene(60, seed=21)
+    asked = list[tuple[int, int, bool]]()
+    look, plan, ways_planned = arm_way.grasps, arm_way._plan_some, arm_way.ways_planned
+
+    def noted(robot, places, key, some, ways):
+        plan(robot, places, key, some, ways)
+        found = (ways.rank[some.row] == some.rank).tolist()
+        asked.extend(zip(some.row.tolist(), some.rank.tolist(), found, strict=True))
+
+    def crooked(*about):
+        found = look(*about)
+        return replace(found, straight=torch.zeros_like(found.straight))
+
+    def rarely(arm, scene, places, kind, ends, key):
+        way, count = ways_planned(arm, scene, places, kind, ends, key)
+        return way, torch.where(key % 3 == 0, count, 0)
+
+    monkeypatch.setattr(arm_way, "grasps", crooked)
+    monkeypatch.setattr(arm_way, "ways_planned", rarely)
+    monkeypatch.setattr(arm_way, "_plan_some", noted)
+    found = graspable(pr2, position, table).tolist()
+    tried = dict[int, list[bool]]()
+    for row in {row for row, *_ in asked}:
+        ranks = [rank for each, rank, _ in asked if each == row]
+        tried[row] = [good for each, _, good in asked if each == row]
+        assert ranks == sorted(set(ranks))
+        assert tried[row][:-1] == [False] * (len(ranks) - 1)
+        assert tried[row][-1] == found[row]
+    assert {row for row in range(60) if found[row]} <= tried.keys()
+    assert {len(done) for done in tried.values() if done[-1]} == {1, 2, PLANNED}
+    assert max(map(len, tried.values())) == PLANNED
 
 
 def test_the_margin_is_small_against_an_object():

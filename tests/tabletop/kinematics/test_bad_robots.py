@@ -95,6 +95,9 @@ def test_the_files_are_sound_before_they_are_broken(tmp_path):
         (joined("fixed", '<origin xyz="0 1e300 0"/>'), "origin xyz is '0 1e300 0'"),
         ('<robot><link name="a"><collision><geometry><sphere radius="1e300"/></geometry>'
          "</collision></link></robot>", "sphere radius is '1e300'"),
+        (joined("revolute", LIMIT.format("-1,", 1)), "limit lower is '-1,'"),
+        (joined("revolute", LIMIT.format("-1 0", 1)), "give a finite number, of 2e+308 at most"),
+        (joined("fixed", '<origin xyz="0 0 0 0"/>'), "give three finite numbers, of 1e+06 at most"),
         ("<robot>" + "".join(f'<link name="l{i}"/>' for i in range(501)) + "</robot>",
          "has 501 links"),
         ('<robot><link name="root"/><link name="a"/><link name="b"/>'

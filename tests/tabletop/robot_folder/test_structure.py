@@ -83,6 +83,7 @@ def test_outlines_of_boxes_cylinders_and_spheres() -> None:
         ([1, 0, 0], [0, 3, 3], [0, 0.5**0.5, 0.5**0.5]),
         ([0.6, 0.8, 0], [1, 0, 0], [0.8, -0.6, 0]),  # no axis is across
         ([0.6, 0.8, 0], [0, 0, 2], [0, 0, 1]),
+        ([0.28, 0.96, 0], [1, 0, 0], [0.96, -0.28, 0]),  # an axis is nearly there, but not across
     ],
 )
 def test_the_way_across_is_nearest_to_what_is_wanted(
