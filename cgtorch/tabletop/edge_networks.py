@@ -131,7 +131,7 @@ def edge_frame(percept: Tensor) -> EdgeFrame:
     seen = parts_of(percept)
     table, placed = seen.table, seen.object
     at = rotate(placed - table[..., :2], -table[..., 2])
-    half = table[..., 3:5] / 2
+    half = table[..., 3:] / 2
     # Edges at -x, -y, +x, +y of the table: a quarter turn from each to the next.
     gaps = torch.cat([half + at, half - at], -1)
     nearest = gaps.argmin(-1, keepdim=True)

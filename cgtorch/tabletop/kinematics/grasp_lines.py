@@ -76,8 +76,7 @@ def grasps(robot: Robot, which: int, lines: Lines, places: Places) -> Grasps:
 def grasps_of_any_arm(robot: Robot, which: int, lines: Lines, places: Places) -> Grasps:
     """The same as `grasps` for any arm, with all lines at once, posture after posture."""
     arm, scene, path = robot.arms[which], robot.scenes[which], lines.path
-    home = robot.home[which].to(path.device).double()
-    solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
+    home, solved = robot.home[which].double(), torch.zeros(len(path), dtype=torch.bool)
     found = [(lines.row[:0], solved[:0], home.new_empty(0, LINE, len(home)))]
     for part in postures_in_turn(arm, path, solved):
         near = _near_home(arm, *followed(robot, which, path, places[lines.row], *part), home)

@@ -35,7 +35,7 @@ def first_motion(percept: Tensor, motion: Tensor, footprint: Tensor) -> Tensor:
     best, total = motion, motion.new_full((len(motion),), torch.inf)
     for turn in (motion.new_zeros(len(motion)), motion[:, 2]):
         length, first = _shortest(seen, corner, there, motion, turn, footprint)
-        at = corner[torch.arange(len(corner), device=corner.device), first]
+        at = corner.take_along_dim(first[:, None, None], 1)[:, 0]
         shorter = length < total - WORTH_TURNING
         via = torch.cat([at, turn[:, None]], 1)
         best = torch.where(shorter[:, None], via, best)

@@ -236,7 +236,7 @@ def _obstacles(scenes: Scenarios, generator: Generator) -> Tensor:
 def _in_the_way(obstacle: Tensor, scenes: Scenarios) -> Tensor:
     """(n,) bool, whether boxes (n, 5) overlap the table or are too close to the robot."""
     at = rotate(scenes.pose[:, :2] - obstacle[:, :2], -obstacle[:, 2])
-    gap = (at.abs() - obstacle[:, 3:5] / 2).clamp_min(0).norm(dim=1)
+    gap = (at.abs() - obstacle[:, 3:] / 2).clamp_min(0).norm(dim=1)
     return rectangles_overlap(obstacle, scenes.table[:, :5]) | (gap < ROOM)
 
 

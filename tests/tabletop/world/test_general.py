@@ -169,6 +169,23 @@ def test_clutter_changes_nothing_else() -> None:
         assert torch.equal(getattr(plain, name), getattr(cluttered, name))
 
 
+def test_a_seed_gives_the_scenarios_that_it_always_gave() -> None:
+    """Or what was measured on them could not be measured again."""
+    paper, general = (draw_of(name)(2, seeded(0)) for name in ("perimeter", "general"))
+    assert paper.pose[1].tolist() == pytest.approx([-1.382251, 0.052923, -0.026373], abs=1e-5)
+    assert paper.object[1].tolist() == pytest.approx([-0.006935, 0.460356], abs=1e-5)
+    assert paper.seed.tolist() == [1277901399, 243580376]
+    assert general.pose[1].tolist() == pytest.approx([-1.720114, 0.410136, -0.576077], abs=1e-5)
+    assert general.object[1].tolist() == pytest.approx([0.192785, -0.284236], abs=1e-5)
+    wanted = [0.0, 0.0, -2.080621, 0.879115, 0.921374, 0.606698]
+    assert general.table[1].tolist() == pytest.approx(wanted, abs=1e-5)
+    assert general.seed.tolist() == [1340754471, 2061486254]
+    boxes = draw_of("general-clutter")(9, seeded(0)).obstacles[:, 0]
+    assert boxes[8].tolist() == pytest.approx(
+        [1.542443, -0.245699, 1.995087, 0.437060, 0.480357], abs=1e-5
+    )
+
+
 def test_every_kind_has_a_name() -> None:
     assert set(DRAWS) == {*PLACEMENTS, "general", "general-clutter"}
     assert all(len(draw_of(name)(3, seeded(0))) == 3 for name in DRAWS)
