@@ -1,0 +1,145 @@
+"""What an arm must keep clear of, and how much its joints bring it nearer."""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from cgtorch.tabletop.kinematics.arm import ChainTable
+from cgtorch.tabletop.kinematics.clear_ways import (
+    APPROACH,
+    CARRY,
+    HELD,
+    LIFT,
+    MARGIN,
+    OBJECT,
+    OWN,
+    POSTURE,
+    REACH,
+    TABLE,
+    Scene,
+)
+from cgtorch.tabletop.kinematics.scene import (
+    ALWAYS,
+    _corners,
+    _near_enough,
+    _pairs,
+    _reach,
+    home_postures,
+    random_postures,
+)
+from cgtorch.tabletop.kinematics.solids import Solids, fixed_solids
+
+
+def pose(*at: float, turn: list[list[float]] | None = None) -> Tensor:
+    """(3, 4)."""
+    made = torch.eye(3, 4, dtype=torch.float64)
+    made[:, 3] = torch.tensor(at)
+    if turn is not None:
+        made[:, :3] = torch.tensor(turn)
+    return made
+
+
+def arm(joints: int = 3) -> Any:
+    """One that turns about z, slides along x, and turns about y, 1.4 m above its base."""
+    table = ChainTable(
+        offset=torch.stack([pose(0, 0, 1), pose(0.3, 0, 0.4), pose(0, 0, 0), pose(0, 0, 0.6)]),
+        axis=torch.tensor([[0.0, 0, 1], [1, 0, 0], [0, 0, 0], [0, 1, 0]]).double(),
+        kind=torch.tensor([1, 2, 0, 1]), joint=torch.tensor([0, 1, -1, 2]),
+    )  # fmt: skip
+    return SimpleNamespace(
+        joint_names=("a", "b", "c")[:joints], chain=lambda like: (None, table),
+        lower=torch.tensor([-1.0, -0.2, 0.1]).double(), upper=torch.tensor([1.0, 0.5, 2]).double(),
+    )  # fmt: skip
+
+
+BOX = torch.tensor([0.1, 0.2, 0.3, 0.0, 0.05]).double()
+
+
+def carried() -> Solids:
+    """The same box three times, a metre above the last frame."""
+    three = torch.tensor([3, 3, 3])
+    return Solids(pose(0, 0, 1).expand(3, 3, 4), BOX.expand(3, 5), three, three)
+
+
+@pytest.mark.parametrize("base", [0, 1, 2, 3])
+def test_a_joint_moves_what_it_carries_by_its_distance_from_the_axis(base: int) -> None:
+    found = _reach(arm(), carried(), TABLE, base)
+    last = math.hypot(0.1, 1.3) + 0.05
+    beyond = math.hypot(0.1, 0.2, 1.3) + 0.05 + 0.6 + 0.5  # drawn out, in one line
+    assert found.tolist() == pytest.approx([0.0] * base + [0.3 + beyond, 1.0, last][base:])
+
+
+def test_an_object_is_turned_about_the_tool_as_it_is_held() -> None:
+    ball = float(carried().radius[HELD])
+    found = _reach(arm(), carried(), HELD, 0)
+    assert found.tolist() == pytest.approx([0.3 + ball + 0.6 + 0.5, 1.0, ball])
+
+
+def test_a_box_is_around_a_solid_without_its_ball() -> None:
+    quarter = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    size = torch.tensor([[0.1, 0.2, 0.3, 0.05, 0.7]]).double()
+    found = _corners(fixed_solids(pose(1, 2, 3, turn=quarter)[None], size), 0)
+    assert len({tuple(corner) for corner in found.round(decimals=6).tolist()}) == 8
+    off = (found - torch.tensor([1, 2, 3])).abs()
+    torch.testing.assert_close(off, torch.tensor([0.25, 0.15, 0.3]).double().expand(8, 3))
+
+
+def test_pairs_are_those_that_may_meet_on_some_ways() -> None:
+    """Of an arm with three solids, the body, and another arm with two."""
+    one, two, hand, torso, shoulder, wrist = range(OWN, OWN + 6)
+    found = {(a, b): kinds for a, b, kinds in _pairs([1, 4, 7], 1, [3, 7], 7).tolist()}
+    held = LIFT | CARRY
+    assert found == {
+        (HELD, TABLE): CARRY, **{(HELD, k): held for k in (torso, shoulder, wrist, one, two)},
+        **{(k, TABLE): ALWAYS | POSTURE for k in (one, two, hand)},
+        (one, OBJECT): REACH | APPROACH, (two, OBJECT): REACH | APPROACH, (hand, OBJECT): REACH,
+        **{(k, torso): ALWAYS | POSTURE for k in (two, hand)},
+        **{(k, wrist): ALWAYS for k in (one, two, hand)},
+        **{(k, shoulder): ALWAYS for k in (two, hand)},
+        (two, one): ALWAYS, (hand, one): ALWAYS, (hand, two): ALWAYS,
+    }  # fmt: skip
+    neighbours = _pairs([1, 2, 3], 0, [], 3).tolist()
+    assert [OWN + 2, OWN, ALWAYS] in neighbours
+    assert [OWN + 1, OWN, ALWAYS] not in neighbours
+
+
+def test_what_is_farther_than_an_arm_is_long_is_left_out() -> None:
+    """Only what stands still, and only beside an arm whose first joint turns."""
+    robot, still = arm(), OWN + 1
+    robot.frames = lambda q: torch.eye(4).double().expand(4, 1, 4, 4)
+    away = torch.tensor([0, 0, 0, 0, 2.5, 2.5, 2.7]).double()
+    poses = torch.eye(3, 4).double().repeat(7, 1, 1)
+    poses[:, 0, 3] = away
+    frame = torch.tensor([-1, -1, 3, 3, -1, 3, -1])
+    pairs = torch.tensor([[OWN, b, ALWAYS] for b in (TABLE, still, still + 1, still + 2)])
+    radius = torch.full((7,), 0.5).double()
+    reach = torch.full((4, 3), 2.0).double()
+    scene = Scene(poses, BOX.expand(7, 5), radius, frame, pairs, reach)
+    assert _near_enough(robot, scene).tolist() == [True, True, True, False]
+    scene.pose[still, 0, 3] += MARGIN
+    assert _near_enough(robot, scene).tolist() == [True, True, True, False]
+    scene.pose[still, 0, 3] += 1e-6
+    assert _near_enough(robot, scene).tolist() == [True, False, True, False]
+    robot.chain(None)[1].kind[0] = 2
+    assert _near_enough(robot, scene).all()
+
+
+def test_random_postures_are_within_limits_and_always_the_same() -> None:
+    limits = torch.tensor([-1.0, 0.0, 2.0]).double(), torch.tensor([1.0, 0.5, 3.0]).double()
+    robot: Any = SimpleNamespace(turn_limits=limits)
+    found = random_postures(robot, 500)
+    share = (found - limits[0]) / (limits[1] - limits[0])
+    assert float(share.min()) >= 0
+    assert float(share.max()) <= 1
+    assert share.mean(0).tolist() == pytest.approx([0.5] * 3, abs=0.05)
+    assert torch.equal(random_postures(robot, 500), found)
+
+
+def test_a_named_home_is_nought_or_the_nearest_limit_for_other_joints() -> None:
+    body = fixed_solids(torch.empty(0, 3, 4).double(), torch.empty(0, 5).double())
+    home = home_postures((arm(), arm()), body, (0.0, 0.0, 0.0, 0.0), {"a": 0.7})
+    assert [each.tolist() for each in home] == [pytest.approx([0.7, 0.0, 0.1])] * 2
