@@ -314,7 +314,7 @@ def _error(reached: Tensor, wanted: Tensor, heading: Heading | None) -> Tensor:
         skew, cosine = torch.linalg.cross(now, heading.up.expand_as(now)), now @ heading.up
     sine = skew.norm(dim=1)
     angle = torch.atan2(sine, cosine)
-    scale = torch.where(sine > 1e-6, angle / sine.clamp_min(1e-6), torch.ones_like(sine))
+    scale = angle / sine.clamp_min(_TOLERANCE)
     return torch.cat([wanted[:, :3, 3] - reached[:, :3, 3], skew * scale[:, None]], dim=1)
 
 

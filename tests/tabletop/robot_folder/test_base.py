@@ -53,6 +53,16 @@ def test_a_stand_lifts_the_robot_and_is_part_of_its_body(tmp_path):
         proposed(tmp_path, BASE, arm, stand=0.5, base_frame="base")
 
 
+def test_a_stand_of_a_base_without_a_body_is_ten_centimetres_wide(tmp_path):
+    arm = chain("arm", 6, "base", "0.1 0 0", "0 0 0.4")
+    found = proposed(tmp_path, link("base", ""), arm, stand=0.5)
+    model, words = found.urdf.model, found.words
+    box = model.link_map["stand"].collisions[0].geometry.box
+    np.testing.assert_allclose(box.size, [0.1, 0.1, 0.5])
+    at = model.get_transform("stand", words.base_frame)[:3, 3]
+    np.testing.assert_allclose(at, [0, 0, 0.25], atol=1e-9)
+
+
 def test_a_frame_is_added_below_a_link_or_above_it_under_a_free_name():
     known = SimpleNamespace(below={"stand": [], "stand_added": []})
     assert _unused(known, "floor") == "floor"
