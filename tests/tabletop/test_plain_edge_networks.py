@@ -111,6 +111,13 @@ def test_no_corner_is_passed_on_a_motion_that_is_possible(motion: list[float]) -
     assert plain.first_motion([BLOCK], motion, SMALL) == motion
 
 
+def test_who_is_shut_in_has_no_way_and_no_corner() -> None:
+    walls = [(x, y, 0.0, 0.1 + 2 * abs(y), 0.1 + 2 * abs(x)) for x, y in ((1, 0), (-1, 0))]
+    walls += [(0.0, y, 0.0, 2.0, 0.1) for y in (-1, 1)]
+    assert plain.shortest(walls, [3.0, 0.0, 0.0], 0.0, SMALL) == (math.inf, (0.0, 0.0))
+    assert plain.first_motion(walls, [3.0, 0.0, 0.0], SMALL) == [3.0, 0.0, 0.0]
+
+
 BAFFLES = [(1.3, 2.8, 0.0, 0.1, 6.4), (3.3, -3.3, 0.0, 0.1, 7.4)]
 
 

@@ -165,7 +165,7 @@ def closed_form_follow(
     form: SphericalArm, mount: Tensor, q: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Like `ArmModel.follow`, in the branch and at the pan angle of q (M, 7)."""
-    angle, steps = q * form.signs, pose.shape[1]
+    angle, steps = form.signs * q, pose.shape[1]
     signs = torch.stack([angle[:, 3].sin(), angle[:, 2].cos(), angle[:, 5].sin()], dim=-1)
     branch = (signs[:, None] * form.branches > 0).sum(-1).argmax(dim=1)
     each = (x.repeat_interleave(steps)[:, None] for x in (angle[:, 0], branch))

@@ -216,7 +216,7 @@ def _pose(axes: Array, middle: Array) -> Array:
 
 
 def _right_handed(axes: Array) -> Array:
-    return axes * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))])
+    return np.array([1.0, 1.0, np.sign(np.linalg.det(axes))]) * axes
 
 
 def _cut(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:

@@ -255,9 +255,9 @@ def _approach(structure: Structure, hand: str, toward: Array) -> Array:
     way = toward - turned[:3, 3]
     length = float(np.linalg.norm(way))
     if abs(float(axis @ way)) >= 0.8 * length:
-        return axis * math.copysign(1.0, float(axis @ (toward - behind)))
+        return math.copysign(1.0, float(axis @ (toward - behind))) * axis
     own = np.eye(3)[int(np.abs(way).argmax())]
-    return own * math.copysign(1.0, float(own @ way))
+    return math.copysign(1.0, float(own @ way)) * own
 
 
 def _across(x: Array, wanted: Array) -> Array:
@@ -268,4 +268,4 @@ def _across(x: Array, wanted: Array) -> Array:
         y = np.cross(x, other)
     y = y / np.linalg.norm(y)
     best = np.eye(3)[int(np.abs(y).argmax())]
-    return best * np.sign(best @ y) if abs(best @ x) < 1e-6 and abs(best @ y) > ACROSS else y
+    return np.sign(best @ y) * best if abs(best @ x) < 1e-6 and abs(best @ y) > ACROSS else y

@@ -11,9 +11,11 @@ from random_models import first_percepts, random_classifier, random_gamma, rando
 from support import FOOTPRINT, seeded
 from torch import Tensor
 
-from cgtorch.native import available
+from cgtorch.native import available, constants
+from cgtorch.svm import SVR
 from cgtorch.svm.rbf import machine_structure, machine_values, predict_rbf
 from cgtorch.tabletop.models import compiled_models
+from cgtorch.tabletop.models.success import compiled_machine
 from cgtorch.tabletop.world import ClearMotion, clear_motion, motion_possible
 from cgtorch.tabletop.world.clear_motion import motion_possible_in_torch
 
@@ -83,6 +85,21 @@ def test_compiled_models_know_the_base_and_are_none_where_something_else_is_aske
         assert other(**{name: value}) is None, name
     assert other(possible=lambda percept, motion: True) is None
     assert other(gamma=lambda percept, motion: gamma(percept, motion)) is None
+
+
+def test_a_machine_is_compiled_for_percepts_that_there_is_room_for() -> None:
+    most, machine = (
+        constants("engine_limits", torch.float64)["MOST_PERCEPT"],
+        random_gamma(1).machine,
+    )
+    percepts = torch.zeros(2, most + 1).double()
+    assert compiled_machine(machine, percepts[:, :most]) is not None
+    assert compiled_machine(machine, percepts) is None
+    assert compiled_machine(machine, percepts[:, :7].float()) is None
+    assert compiled_machine(machine, percepts[:, :7], percepts.float()) is None
+    assert compiled_machine(SVR().double(), percepts[:, :7]) is None
+    machine.weights, machine.bias = machine.weights.repeat(1, 2), machine.bias.repeat(2)
+    assert compiled_machine(machine, percepts[:, :7]) is None
 
 
 def test_far_rows_and_rows_that_are_not_numbers() -> None:

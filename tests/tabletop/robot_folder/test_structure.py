@@ -114,6 +114,17 @@ def test_fingers_open_to_where_they_are_farthest_apart(tmp_path: Path) -> None:
     assert open_fingers(structure_of(tmp_path, BASE, arm), "arm5") == {}
 
 
+def test_small_fingers_open_and_what_moves_nothing_that_is_seen_stays_at_its_lower_limit(
+    tmp_path: Path,
+) -> None:
+    arm = chain("arm", 6, "base", first="0 0 1")
+    short = LIMIT.replace('"-1"', '"-0.02"').replace('"1"', '"0.01"', 1)
+    two = sliding("a", 0.03, short), sliding("b", -0.03, short)
+    bare = link("c", "") + joint("c", "arm5")
+    structure = structure_of(tmp_path, BASE, arm, *two, bare)
+    assert open_fingers(structure, "arm5") == {"a_joint": 0.01, "b_joint": -0.02, "c_joint": -1.0}
+
+
 def test_of_many_fingers_all_are_at_their_lower_or_upper_limits(tmp_path: Path) -> None:
     limits = LIMIT.replace('"-1"', '"0"').replace('upper="1"', 'upper="0.5"')
     many = [sliding(f"f{i}", 0.1 * i, limits if i else LIMIT) for i in range(MOST_TRIED + 1)]
