@@ -1,11 +1,27 @@
 """Which chains are arms: by where they begin and what they end in, not by height and joints."""
 
+import math
+from types import SimpleNamespace
+
 import pytest
 from small_urdfs import LIMIT, box, chain, fingers, joint, link, urdf_of
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
-from cgtorch.tabletop.robot_folder.chains import BRANCH, CLOSE, HEAD, LEG, SHORT, chains_of
+from cgtorch.tabletop.robot_folder.chains import (
+    BRANCH,
+    CLOSE,
+    HEAD,
+    LEG,
+    SHORT,
+    _depth,
+    _extent,
+    _freedom,
+    _lowest,
+    _reach,
+    _within,
+    chains_of,
+)
 from cgtorch.tabletop.robot_folder.make import make_robot_folder
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 from cgtorch.tabletop.robot_folder.structure import Structure
@@ -142,6 +158,48 @@ def test_fingers_of_many_joints_are_no_arms(tmp_path):
     )
     structure = structure_of(tmp_path, BASE, chain("arm", 6, "base", first="0 0 1"), hand)
     assert arms(structure) == {"arm5": 6}
+
+
+def test_what_hangs_from_a_joint_is_as_deep_and_as_far_as_its_longest_part(tmp_path):
+    """Joints that follow others do not count, nor do fixed ones."""
+    follows = f'<mimic joint="a_joint"/>{LIMIT}'
+    parts = (
+        link("a"), joint("a", "base"), link("b"), joint("b", "a", "0 0 0.2"), link("c"),
+        joint("c", "b", "0 0.3 0"), link("d"), joint("d", "a", "0.1 0 0"), link("e"),
+        joint("e", "d", more=follows), link("f"), joint("f", "c", kind="fixed", more=""),
+    )  # fmt: skip
+    structure = structure_of(tmp_path, BASE, *parts)
+    above = structure.above
+    assert [_depth(structure, above[name]) for name in "abcde"] == [3, 2, 1, 1, 0]
+    half = 0.025
+    farthest = math.sqrt(half**2 + (0.3 + half) ** 2 + (0.2 + 0.1 + half) ** 2)
+    assert _extent(structure, "a") == pytest.approx(farthest)
+    assert _extent(structure, "e") == pytest.approx(half * math.sqrt(3))
+    assert _lowest(structure, ["a", "d"]) == pytest.approx(0.1 - half)
+    assert _lowest(structure, []) == math.inf
+    own = [above[name] for name in "abc"]
+    chain = SimpleNamespace(own=own, link="c")
+    assert _reach(structure, chain) == pytest.approx(0.2 + 0.3 + _extent(structure, "c"))
+
+
+def test_a_joint_is_within_its_range_or_a_turn(tmp_path):
+    limit = SimpleNamespace(lower=-1.0, upper=3.0)
+    assert _within(SimpleNamespace(type="revolute", limit=limit), 0.25) == 0.0
+    assert _within(SimpleNamespace(type="continuous"), 0.25) == pytest.approx(math.pi / 2)
+
+
+def test_what_joints_can_move_is_counted_where_they_are_not_in_one_line(tmp_path):
+    """And afterwards they are where they were."""
+    slides = "".join(
+        link(f"s{i}") + joint(f"s{i}", f"s{i - 1}" if i else "base", "0 0 0.1", axis, "prismatic")
+        for i, axis in enumerate(("1 0 0", "1 0 0", "0 1 0"))
+    )
+    structure = structure_of(tmp_path, BASE, slides, chain("arm", 3, "s2"))
+    structure.urdf.model.update_cfg({"s0_joint": 0.25})
+    before = structure.pose("arm2")
+    path = structure.path("arm2")
+    assert [_freedom(structure, path[:k]) for k in range(1, 7)] == [1, 1, 2, 3, 4, 5]
+    assert (structure.pose("arm2") == before).all()
 
 
 def test_slides_of_a_virtual_base_belong_to_no_arm(tmp_path):
