@@ -1,6 +1,7 @@
 """What an arm must keep clear of, and how much its joints bring it nearer."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from cgtorch.tabletop.kinematics import scene
 from cgtorch.tabletop.kinematics.arm import ChainTable
 from cgtorch.tabletop.kinematics.clear_ways import (
     APPROACH,
@@ -23,13 +25,18 @@ from cgtorch.tabletop.kinematics.clear_ways import (
     Scene,
 )
 from cgtorch.tabletop.kinematics.scene import (
+    ABOVE,
     ALWAYS,
+    BELOW_COSTS,
+    CENTRE,
+    _clear_of_nothing_else,
     _corners,
     _near_enough,
     _pairs,
     _reach,
     home_postures,
     random_postures,
+    scene_of,
 )
 from cgtorch.tabletop.kinematics.solids import Solids, fixed_solids
 
@@ -118,25 +125,74 @@ def test_what_is_farther_than_an_arm_is_long_is_left_out() -> None:
     pairs = torch.tensor([[OWN, b, ALWAYS] for b in (TABLE, still, still + 1, still + 2)])
     radius = torch.full((7,), 0.5).double()
     reach = torch.full((4, 3), 2.0).double()
-    scene = Scene(poses, BOX.expand(7, 5), radius, frame, pairs, reach)
-    assert _near_enough(robot, scene).tolist() == [True, True, True, False]
-    scene.pose[still, 0, 3] += MARGIN
-    assert _near_enough(robot, scene).tolist() == [True, True, True, False]
-    scene.pose[still, 0, 3] += 1e-6
-    assert _near_enough(robot, scene).tolist() == [True, False, True, False]
+    one = Scene(poses, BOX.expand(7, 5), radius, frame, pairs, reach)
+    assert _near_enough(robot, one).tolist() == [True, True, True, False]
+    one.pose[still, 0, 3] += MARGIN
+    assert _near_enough(robot, one).tolist() == [True, True, True, False]
+    one.pose[still, 0, 3] += 1e-6
+    assert _near_enough(robot, one).tolist() == [True, False, True, False]
     robot.chain(None)[1].kind[0] = 2
-    assert _near_enough(robot, scene).all()
+    assert _near_enough(robot, one).all()
 
 
 def test_random_postures_are_within_limits_and_always_the_same() -> None:
     limits = torch.tensor([-1.0, 0.0, 2.0]).double(), torch.tensor([1.0, 0.5, 3.0]).double()
     robot: Any = SimpleNamespace(turn_limits=limits)
     found = random_postures(robot, 500)
+    assert torch.equal(random_postures(robot, 500), found)
     share = (found - limits[0]) / (limits[1] - limits[0])
     assert float(share.min()) >= 0
     assert float(share.max()) <= 1
     assert share.mean(0).tolist() == pytest.approx([0.5] * 3, abs=0.05)
-    assert torch.equal(random_postures(robot, 500), found)
+    first = torch.tensor([[0.9701, 0.7078, 0.4594], [0.9207, 0.6450, 0.7911]]).double()
+    torch.testing.assert_close(share[:2], first, atol=1e-4, rtol=0)  # or homes would be others
+
+
+@pytest.mark.parametrize("name", ["pr2", "fetch"])
+def test_a_computed_home_is_raised_near_the_body_and_on_its_own_side(
+    name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The posture of the least cost among those that are clear, told point by point."""
+    monkeypatch.setattr(scene, "SAMPLES", 60)
+    robot = request.getfixturevalue(name)
+    footprint = x_min, x_max, y_min, y_max = robot.description.footprint
+    for model in robot.arms:
+        q = random_postures(model, 60)
+        frames, solids = model.frames(q), model.solids
+        shoulder = float(frames[1, 0, 1, 3])
+        side = 0.0 if name == "fetch" else math.copysign(1.0, shoulder)
+        assert bool(side) == (abs(shoulder) > CENTRE)
+
+        def cost(row: int, at: Tensor = frames, s: Solids = solids, side: float = side) -> float:
+            ends, radii = s.capsules()
+            beyond, under, crossed, height = [0.0], [0.0], [0.0], [0.0]
+            for k, radius in enumerate(radii.tolist()):
+                pose = at[int(s.frame[k % len(s)]), row]
+                x, y, z = (pose[:3, :3] @ ends[k] + pose[:3, 3]).tolist()
+                out = max(x - x_max, x_min - x, y - y_max, y_min - y) + radius
+                low = max(0.0, ABOVE + radius - z)
+                beyond.append(out)
+                under.append(min(out, low))
+                crossed.append(radius - side * y if side else 0.0)
+                height.append(low if s.joints[k % len(s)] > 3.5 else 0.0)
+            return max(beyond) + max(height) + BELOW_COSTS * (max(under) + max(crossed))
+
+        order = sorted(range(60), key=cost)
+        asked = list[Tensor]()
+
+        def noted(*about: Any, asked: list[Tensor] = asked) -> Tensor:
+            asked.append(about[-1])
+            return _clear_of_nothing_else(*about)
+
+        monkeypatch.setattr(scene, "_clear_of_nothing_else", noted)
+        (home,) = home_postures((model,), robot.body, footprint, {})
+        assert torch.equal(asked[-1], q[order])
+        made = scene_of(model, robot.body, robot.body[:0])
+        own = (made.pairs[:, :2] >= OWN).all(1)
+        alone = replace(made, pairs=made.pairs[own], reach=made.reach[own])
+        clear = _clear_of_nothing_else(model, alone, torch.full((60,), REACH), q)
+        assert 1 < int(clear.sum()) < 60
+        assert torch.equal(home, q[next(row for row in order if clear[row])])
 
 
 def test_a_named_home_is_nought_or_the_nearest_limit_for_other_joints() -> None:
