@@ -217,6 +217,10 @@ def test_placements_at_several_tables_have_a_panel_each_in_one_scale() -> None:
     assert figure.get_size_inches().tolist() == pytest.approx([4 * PANEL, 2 * PANEL + 0.5])
     assert {a.get_aspect() for a in figure.axes} == {1}
     assert not any(len(a.get_xticks()) or len(a.get_yticks()) for a in figure.axes)
+    two = draw_scenes(scenarios[:2], torch.ones(2))
+    assert two.get_size_inches().tolist() == pytest.approx([2 * PANEL, PANEL + 0.5])
+    assert [(a.get_subplotspec().rowspan.start, a.get_subplotspec().colspan.start)
+            for a in figure.axes] == [(i // 4, i % 4) for i in range(7)]  # fmt: skip
     limits = [limit for a in figure.axes for limit in (a.get_xlim(), a.get_ylim())]
     (span,) = {round(float(np.ptp(limit)), 5) for limit in limits}
     assert float(figure.get_suptitle().split()[-3]) == pytest.approx(span, abs=0.05)

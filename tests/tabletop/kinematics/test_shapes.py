@@ -20,6 +20,7 @@ from cgtorch.tabletop.kinematics.shapes import (
     _circle,
     _right_handed,
     _round,
+    _shape,
     _sides,
     capsule,
     fitted,
@@ -177,6 +178,18 @@ def test_a_box_and_what_is_round_hold_all_corners_and_hardly_more():
     np.testing.assert_allclose(along.pose[:3, 3], [1, 2, 3], atol=1e-6)
     np.testing.assert_allclose(_circle(np.array([[1.0, 2.0], [3.0, 2.0]])), [2, 2])
     np.testing.assert_allclose(_circle(np.array([[1.0, 2.0]])), [1, 2])
+
+
+@pytest.mark.parametrize("long", [0, 1, 2])
+def test_what_is_round_lies_along_the_longest_side_where_no_cylinder_is_found(long, monkeypatch):
+    monkeypatch.setattr(shapes, "_cylinder_axes", lambda points: None)
+    monkeypatch.setattr(shapes, "_box_axes", lambda points: (np.eye(3), long))
+    points = np.roll(trimesh.creation.capsule(0.3, 0.05, count=(24, 24)).vertices, long - 2, axis=1)
+    found = _shape(points)
+    assert found.kind == "capsule"
+    assert found.sizes == pytest.approx((0.05, 0.3), abs=2e-3)
+    np.testing.assert_allclose(np.abs(found.pose[:3, 2]), np.eye(3)[long])
+    assert np.linalg.det(found.pose[:3, :3]) == pytest.approx(1)
 
 
 def test_axes_are_turned_to_be_right_handed():

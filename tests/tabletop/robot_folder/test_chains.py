@@ -225,6 +225,10 @@ def test_a_telescope_needs_the_lift_below_it(tmp_path):
     )
     wrist = link("yaw") + joint("yaw", "l3") + fingers("hand", "yaw")
     assert arms(structure_of(tmp_path, BASE, lift, draws, wrist)) == {"yaw": 6}
+    two = draws.partition(link("l2"))[0]
+    for joints, own in ((3, 6), (4, 6)):  # of which two draw out as one
+        wrist = chain("wrist", joints, "l1", "0.1 0 0") + fingers("hand", f"wrist{joints - 1}")
+        assert arms(structure_of(tmp_path, BASE, lift, two, wrist)) == {f"wrist{joints - 1}": own}
     wrist = chain("wrist", 6, "lift", "0.1 0 0") + fingers("hand", "wrist5")
     assert arms(structure_of(tmp_path, BASE, lift, wrist)) == {"wrist5": 6}
 
