@@ -169,7 +169,7 @@ def test_a_box_and_what_is_round_hold_all_corners_and_hardly_more():
     bulge = math.sqrt(radius**2 - (radius - ROUNDING) ** 2)  # of its ends over the corners
     assert round_.sizes == pytest.approx((radius, 4 - 2 * bulge + 2 * ROUNDING), abs=1e-9)
     np.testing.assert_allclose(round_.pose[:3, 3], [1, 2, 3], atol=1e-9)
-    short = _round(CORNERS * [1, 1, 0], np.eye(3))[1]
+    short = _round(np.concatenate([CORNERS * [1, 1, 0], [[1, 2, 0]]]), np.eye(3))[1]
     assert short.kind == "sphere"
     assert short.sizes == pytest.approx((radius,), abs=1e-6)
     turned = np.eye(3)[:, [1, 2, 0]]  # z leads along x
