@@ -38,7 +38,7 @@ from cgtorch.tabletop.kinematics.scene import (
     random_postures,
     scene_of,
 )
-from cgtorch.tabletop.kinematics.solids import Solids, fixed_solids
+from cgtorch.tabletop.kinematics.solids import Solids, fixed_solids, with_boxed_hand
 
 
 def pose(*at: float, turn: list[list[float]] | None = None) -> Tensor:
@@ -133,6 +133,24 @@ def test_what_is_farther_than_an_arm_is_long_is_left_out() -> None:
     assert _near_enough(robot, one).tolist() == [True, False, True, False]
     robot.chain(None)[1].kind[0] = 2
     assert _near_enough(robot, one).all()
+
+
+def test_other_arms_are_in_the_way_at_home_with_boxes_for_hands(pr2: Any) -> None:
+    for which, one in enumerate(pr2.arms):
+        other, home = pr2.arms[1 - which], pr2.home[1 - which]
+        boxed = with_boxed_hand(other.solids, len(home))
+        assert len(boxed) < len(other.solids)
+        placed = boxed.placed(other.frames(home[None])[:, 0])
+        made = scene_of(one, pr2.body, replace(placed, joints=boxed.joints))
+        apart = {*map(frozenset, pr2.description.excludes)}
+        names = dict(enumerate(["", "", "", *one.solid_links, *pr2.body_links]))
+        pairs = made.pairs.tolist()
+        kept = [{names.get(a), names.get(b)} not in apart for a, b, _ in pairs]
+        found = pr2.scenes[which]
+        assert torch.equal(found.pose, made.pose)
+        assert torch.equal(found.pairs, made.pairs[torch.tensor(kept)])
+        assert torch.equal(found.reach, made.reach[torch.tensor(kept)])
+        assert len(found.size) == OWN + len(one.solids) + len(pr2.body) + len(boxed)
 
 
 def test_random_postures_are_within_limits_and_always_the_same() -> None:
