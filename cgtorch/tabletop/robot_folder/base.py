@@ -162,7 +162,6 @@ def _forward(structure: Structure, chains: list[list[Any]]) -> float:
             model.update_cfg({j.name: float(x) for j, x in zip(chain, at, strict=True)})
             way = structure.pose(chain[-1].child)[:3, 3] - structure.pose(chain[0].child)[:3, 3]
             ways = np.concatenate([ways, way[None]])
-        model.update_cfg({joint.name: at_rest(joint) for joint in chain})
     x, y = ways[:, :2].mean(axis=0) if len(ways) else (0.0, 0.0)
     direction = math.atan2(y, x)
     if math.hypot(x, y) < ONE_WAY * np.linalg.norm(ways, axis=1).mean() or abs(direction) < ASIDE:

@@ -34,6 +34,15 @@ def test_x_leads_to_where_an_arm_reaches(tmp_path, way, degrees):
     assert found.words.footprint == pytest.approx(sides)
 
 
+def test_an_arm_that_reaches_all_round_says_nothing_of_where_x_leads(tmp_path):
+    arm = chain("arm", 6, "base", "0 -0.1 0", "0 0 0.4")
+    round_ = arm.replace('"arm0_joint" type="revolute"', '"arm0_joint" type="continuous"')
+    assert round_ != arm
+    found = proposed(tmp_path, BASE, round_)
+    assert found.words.base_frame == "base"
+    assert not any("degrees away" in note for note in found.notes)
+
+
 def test_an_arm_that_hangs_low_does_not_lower_the_floor(tmp_path):
     found = proposed(tmp_path, BASE, chain("arm", 6, "base", "0.02 0 -0.1", "0.15 0 0.4"))
     assert found.words.base_frame == "base"
