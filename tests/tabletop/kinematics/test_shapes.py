@@ -14,10 +14,13 @@ from cgtorch.tabletop.kinematics import shapes
 from cgtorch.tabletop.kinematics.shapes import (
     MAX_FLATNESS,
     ROUNDING,
+    SEARCHED,
     THIN,
     Shape,
     _box,
     _circle,
+    _outermost,
+    _outermost_flat,
     _right_handed,
     _round,
     _shape,
@@ -190,6 +193,20 @@ def test_what_is_round_lies_along_the_longest_side_where_no_cylinder_is_found(lo
     assert found.sizes == pytest.approx((0.05, 0.3), abs=2e-3)
     np.testing.assert_allclose(np.abs(found.pose[:3, 2]), np.eye(3)[long])
     assert np.linalg.det(found.pose[:3, :3]) == pytest.approx(1)
+
+
+def test_of_many_corners_those_are_looked_at_that_are_outermost_in_even_directions():
+    rng = np.random.default_rng(0)
+    drawn = rng.normal(size=(20_000, 3)), rng.normal(size=(3000, 3))
+    ball, ways = (each / np.linalg.norm(each, axis=1)[:, None] for each in drawn)
+    few = _outermost(ball)
+    assert 0.9 * SEARCHED < len(few) <= SEARCHED
+    assert np.arccos((ways @ few.T).max(axis=1)).max() < 0.27  # rad to the next
+    assert _outermost(few) is few
+    circle = ball[:, :2] / np.linalg.norm(ball[:, :2], axis=1)[:, None]
+    few = _outermost_flat(circle)
+    assert 0.9 * SEARCHED < len(few) <= SEARCHED
+    assert np.arccos((circle[:3000] @ few.T).max(axis=1).clip(max=1)).max() < 0.033
 
 
 def test_axes_are_turned_to_be_right_handed():

@@ -139,7 +139,9 @@ def test_choices_that_do_not_exist_change_nothing(page: Page) -> None:
 def test_an_object_is_dragged_to_a_place(page: Page) -> None:
     for place, moves in (((np.nan, 0, 0), False), ((0.1, -0.4, 0.7), True)):
         before = page.scenario
-        page._dragged(SimpleNamespace(phase="end", target=SimpleNamespace(position=place)))
+        target = SimpleNamespace(position=np.array(place))
+        page._dragged(SimpleNamespace(phase="end", target=target))
+        assert page.scenario.object.dtype == before.object.dtype
         assert (page.scenario is not before) == moves
         assert (page.clock is not None) == moves  # it is shown at once
     assert page.scenario.object[0].tolist() == pytest.approx([0.1, -0.4])
