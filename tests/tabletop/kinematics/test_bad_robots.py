@@ -8,7 +8,7 @@ import pytest
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_description, load_robot, load_urdf, robots_folder
-from cgtorch.tabletop.kinematics.urdf import _line, at_rest
+from cgtorch.tabletop.kinematics.urdf import at_rest, one_line
 
 PR2 = robots_folder() / "pr2"
 TEXT = (PR2 / "pr2.urdf").read_text()
@@ -301,8 +301,8 @@ def test_what_says_nothing_is_left_out(tmp_path):
 
 
 def test_an_error_without_words_is_told_by_its_name():
-    assert _line(ValueError("two\n words")) == "two words"
-    assert _line(ValueError()) == "ValueError"
+    assert one_line(ValueError("two\n words")) == "two words"
+    assert one_line(ValueError()) == "ValueError"
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from cgtorch.tabletop.kinematics.shapes import (
     Shape,
     _box,
     _circle,
+    _hull,
     _outermost,
     _outermost_flat,
     _right_handed,
@@ -207,6 +208,21 @@ def test_of_many_corners_those_are_looked_at_that_are_outermost_in_even_directio
     few = _outermost_flat(circle)
     assert 0.9 * SEARCHED < len(few) <= SEARCHED
     assert np.arccos((circle[:3000] @ few.T).max(axis=1).clip(max=1)).max() < 0.033
+
+
+def test_what_is_flat_has_the_hull_of_a_thin_box():
+    corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 1, 0], [2, 1, 0], [1, 0.5, 0]]) + 3
+    found, volume = _hull(corners)
+    thick = 2 / MAX_FLATNESS
+    assert volume == pytest.approx(2 * thick)
+    assert found.shape == (8, 3)
+    np.testing.assert_allclose(found.min(axis=0), [3, 3, 3 - thick / 2])
+    np.testing.assert_allclose(found.max(axis=0), [5, 4, 3 + thick / 2])
+    small, volume = _hull(corners[:1])
+    assert volume == pytest.approx(THIN**3)
+    np.testing.assert_allclose(np.ptp(small, axis=0), THIN)
+    cube, volume = _hull(CORNERS)
+    assert (len(cube), volume) == (8, pytest.approx(8.0))
 
 
 def test_axes_are_turned_to_be_right_handed():
