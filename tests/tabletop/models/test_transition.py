@@ -13,6 +13,7 @@ from cgtorch.domains.transition import Grid, HeldOut
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.models import TableTransitionModel, geometry
+from cgtorch.tabletop.models.transition import DECISIVE
 
 GRID = Grid([2.0], [2.0, 6.0], [0.1], 400)
 
@@ -123,6 +124,28 @@ def test_errors_are_those_of_values_that_were_held_out(fitted):
     assert torch.equal(same, loose)
     unknown, nought = settled(target, learnt=False), settled(0 * target, learnt=False)
     assert torch.equal(unknown[0], nought[0])
+
+
+def test_targets_say_which_of_the_two_yaws_was_right(fitted):
+    model = deepcopy(fitted[0]).double()
+    p, u, q = _torch(transitions(200, 16), torch.float64)
+    scene, parts = model._scene(p, u), geometry.to_parts(q)
+    first, second = geometry.boxes_after(scene.yaws, u, scene.sides).unbind(-2)
+    between = first - second
+    for extents, wanted in (
+        (first, 1), (second, -1), ((first + second) / 2, 0), (first - 0.25 * between, 0.5),
+        (first + between, 1), (second - between, -1),
+    ):  # fmt: skip
+        parts[:, geometry.EXTENTS] = extents
+        target, tells = model.targets(p, u, geometry.from_parts(parts))
+        assert target.shape == (200, 1)
+        torch.testing.assert_close(target[tells], torch.full_like(target[tells], wanted))
+        assert torch.equal(tells, between.norm(dim=1) > DECISIVE)
+    assert 100 < int(tells.sum()) < 200
+    yaw = torch.cat([p, torch.ones(200, 2)], 1), u, torch.cat([q, torch.ones(200, 2)], 1)
+    target, tells = model.targets(*yaw)
+    assert tells.all()
+    assert not target.any()
 
 
 def test_a_round_table_keeps_its_box():
