@@ -284,6 +284,16 @@ def test_prefixes_that_nothing_declares_and_commas_are_read_as_ros_reads_them(tm
     assert "not well-formed" in fails(load_urdf, robot(tmp_path, text.replace("</robot>", "")))
 
 
+def test_an_axis_may_be_short_but_needs_a_direction(tmp_path):
+    limits = LIMIT.format(-1, 1)
+    urdf = load_urdf(robot(tmp_path, joined("revolute", f'<axis xyz="0 6e-9 -8e-9"/>{limits}')))
+    assert urdf.joint("j").axis.tolist() == pytest.approx([0, 0.6, -0.8])
+    urdf = load_urdf(robot(tmp_path, joined("revolute", f'<axis xyz="1.1e-9 0 0"/>{limits}')))
+    assert urdf.joint("j").axis.tolist() == [1, 0, 0]
+    short = joined("revolute", f'<axis xyz="0 9e-10 0"/>{limits}')
+    assert "has the axis '0 9e-10 0': give it" in fails(load_urdf, robot(tmp_path, short))
+
+
 def test_lines_are_told(tmp_path):
     for text, message in (
         (

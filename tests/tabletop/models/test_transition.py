@@ -348,3 +348,20 @@ def test_what_features_are_scaled_by_is_known_as_it_is_stored():
         assert value.dtype == whole.dtype == torch.float64
         assert torch.equal(value, whole.float().double())
         assert not torch.equal(value, whole)
+
+
+def test_features_have_one_scale_and_the_largest_extremes_are_kept():
+    p, u, q = _torch(transitions(60, 14), torch.float64)
+    model = TableTransitionModel()
+    model.standardise(p, u, q, torch.float64)
+    x = model.features(p, u)
+    assert x.mean(0).abs().max() < 1e-9
+    assert float(x.square().mean()) == pytest.approx(1)
+    assert len(model.scale.unique()) == 1
+    torch.testing.assert_close(model.most, model.extremes(p, u).amax(0))
+    wide = geometry.to_parts(torch.cat([p, q]))[:, geometry.EXTENTS]
+    torch.testing.assert_close(model.sides, geometry.table_sides(wide))
+    still = p[:1].expand(9, -1)
+    model.standardise(still, 0 * u[:9], still, torch.float64)
+    assert model.scale.tolist() == [1.0] * 4
+    assert model.most[1:3].tolist() == [1e-3] * 2
