@@ -185,6 +185,20 @@ def test_how_many_data_there_are_is_told_as_they_come() -> None:
     assert told == [("labels", done, every[-1]) for done in every]
 
 
+@pytest.mark.parametrize(("thrift", "robots"), [(1, 2 + 20), (4, 2 + 5)])
+def test_who_is_thrifty_drives_fewer_robots_at_once(thrift: int, robots: int) -> None:
+    begun = list[int]()
+
+    def watched(scenarios: Scenarios) -> TabletopWorld:
+        begun.append(len(scenarios))
+        return TabletopWorld(scenarios, graspable, FOOTPRINT, EXACT)
+
+    p, u, q = drive(Scenes(watched, thrift=thrift), 40, seeded(2))
+    assert len(p) == len(u) == len(q) == 40
+    assert [count for count in begun if count][0] == robots
+    assert all(count <= robots for count in begun)
+
+
 def equal(one: Dataset, other: Dataset) -> bool:
     return all(torch.equal(a, vars(other)[name]) for name, a in vars(one).items())
 
