@@ -195,7 +195,7 @@ def test_who_is_thrifty_drives_fewer_robots_at_once(thrift: int, robots: int) ->
 
     p, u, q = drive(Scenes(watched, thrift=thrift), 40, seeded(2))
     assert len(p) == len(u) == len(q) == 40
-    assert [count for count in begun if count][0] == robots
+    assert next(count for count in begun if count) == robots
     assert all(count <= robots for count in begun)
 
 
