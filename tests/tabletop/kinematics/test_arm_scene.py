@@ -39,6 +39,7 @@ from cgtorch.tabletop.kinematics.scene import (
     scene_of,
 )
 from cgtorch.tabletop.kinematics.solids import Solids, fixed_solids, with_boxed_hand
+from cgtorch.tabletop.world.scenarios import HEIGHT
 
 
 def pose(*at: float, turn: list[list[float]] | None = None) -> Tensor:
@@ -166,51 +167,69 @@ def test_random_postures_are_within_limits_and_always_the_same() -> None:
     torch.testing.assert_close(share[:2], first, atol=1e-4, rtol=0)  # or homes would be others
 
 
-@pytest.mark.parametrize("name", ["pr2", "fetch"])
 def test_a_computed_home_is_raised_near_the_body_and_on_its_own_side(
+    robot_and_arm: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The posture of the least cost, told point by point, among those that are clear."""
+    robot, model = robot_and_arm
+    footprint = x_min, x_max, y_min, y_max = robot.description.footprint
+    q, solids = random_postures(model, 40), model.solids
+    frames, (ends, radii) = model.frames(q), solids.capsules()
+    side = {"left": 1.0, "right": -1.0, "arm": 0.0}[model.name]
+    assert bool(side) == (abs(float(frames[1, 0, 1, 3])) > CENTRE)
+
+    def cost(row: int) -> float:
+        beyond, under, crossed, height = [0.0], [0.0], [0.0], [0.0]
+        for k, radius in enumerate(radii.tolist()):
+            pose = frames[int(solids.frame[k % len(solids)]), row]
+            x, y, z = (pose[:3, :3] @ ends[k] + pose[:3, 3]).tolist()
+            out = max(x - x_max, x_min - x, y - y_max, y_min - y) + radius
+            low = max(0.0, ABOVE + radius - z)
+            beyond.append(out)
+            under.append(min(out, low))
+            crossed.append(radius - side * y if side else 0.0)
+            height.append(low if solids.joints[k % len(solids)] > 3.5 else 0.0)
+        return max(beyond) + max(height) + BELOW_COSTS * (max(under) + max(crossed))
+
+    assert HEIGHT[1] < ABOVE < HEIGHT[1] + 0.2  # of tables
+    order = sorted(range(40), key=cost)
+    own, table = [OWN + 1, OWN, ALWAYS], [OWN, TABLE, ALWAYS]
+    poses = torch.eye(3, 4).double().expand(OWN + 2, 3, 4)
+    some = Scene(
+        poses, BOX.expand(OWN + 2, 5), torch.ones(OWN + 2), torch.zeros(OWN + 2).long(),
+        torch.tensor([table, own]), torch.tensor([[1.0], [2.0]]),
+    )  # fmt: skip
+
+    def clear(arm: Any, alone: Scene, kind: Tensor, at: Tensor) -> Tensor:
+        assert arm is model
+        assert (alone.pairs.tolist(), alone.reach.tolist()) == ([own], [[2.0]])
+        assert kind.tolist() == [REACH] * 30
+        assert torch.equal(at, q[order[:30]])
+        return torch.arange(30) > 2
+
+    monkeypatch.setattr(scene, "SAMPLES", 40)
+    monkeypatch.setattr(scene, "TRIED", 30)
+    monkeypatch.setattr(scene, "scene_of", lambda arm, body, others: some)
+    monkeypatch.setattr(scene, "_clear_of_nothing_else", clear)
+    (home,) = home_postures((model,), robot.body, footprint, {})
+    assert torch.equal(home, q[order[3]])
+
+
+@pytest.mark.parametrize("name", ["pr2", "fetch"])
+def test_at_a_computed_home_no_part_of_the_robot_touches_another(
     name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The posture of the least cost among those that are clear, told point by point."""
     monkeypatch.setattr(scene, "SAMPLES", 60)
     robot = request.getfixturevalue(name)
-    footprint = x_min, x_max, y_min, y_max = robot.description.footprint
-    for model in robot.arms:
-        q = random_postures(model, 60)
-        frames, solids = model.frames(q), model.solids
-        shoulder = float(frames[1, 0, 1, 3])
-        side = 0.0 if name == "fetch" else math.copysign(1.0, shoulder)
-        assert bool(side) == (abs(shoulder) > CENTRE)
-
-        def cost(row: int, at: Tensor = frames, s: Solids = solids, side: float = side) -> float:
-            ends, radii = s.capsules()
-            beyond, under, crossed, height = [0.0], [0.0], [0.0], [0.0]
-            for k, radius in enumerate(radii.tolist()):
-                pose = at[int(s.frame[k % len(s)]), row]
-                x, y, z = (pose[:3, :3] @ ends[k] + pose[:3, 3]).tolist()
-                out = max(x - x_max, x_min - x, y - y_max, y_min - y) + radius
-                low = max(0.0, ABOVE + radius - z)
-                beyond.append(out)
-                under.append(min(out, low))
-                crossed.append(radius - side * y if side else 0.0)
-                height.append(low if s.joints[k % len(s)] > 3.5 else 0.0)
-            return max(beyond) + max(height) + BELOW_COSTS * (max(under) + max(crossed))
-
-        order = sorted(range(60), key=cost)
-        asked = list[Tensor]()
-
-        def noted(*about: Any, asked: list[Tensor] = asked) -> Tensor:
-            asked.append(about[-1])
-            return _clear_of_nothing_else(*about)
-
-        monkeypatch.setattr(scene, "_clear_of_nothing_else", noted)
-        (home,) = home_postures((model,), robot.body, footprint, {})
-        assert torch.equal(asked[-1], q[order])
-        made = scene_of(model, robot.body, robot.body[:0])
-        own = (made.pairs[:, :2] >= OWN).all(1)
-        alone = replace(made, pairs=made.pairs[own], reach=made.reach[own])
-        clear = _clear_of_nothing_else(model, alone, torch.full((60,), REACH), q)
-        assert 1 < int(clear.sum()) < 60
-        assert torch.equal(home, q[next(row for row in order if clear[row])])
+    (model, *_), none = robot.arms, robot.body[:0]
+    (home,) = home_postures((model,), robot.body, robot.description.footprint, {})
+    q = random_postures(model, 60)
+    made = scene_of(model, robot.body, none)
+    own = (made.pairs[:, :2] >= OWN).all(1)
+    alone = replace(made, pairs=made.pairs[own], reach=made.reach[own])
+    clear = _clear_of_nothing_else(model, alone, torch.full((60,), REACH), q)
+    assert 1 < int(clear.sum()) < 60
+    assert clear[int((q == home).all(1).long().argmax())]
 
 
 def test_a_named_home_is_nought_or_the_nearest_limit_for_other_joints() -> None:

@@ -210,6 +210,17 @@ def test_of_many_corners_those_are_looked_at_that_are_outermost_in_even_directio
     assert np.arccos((circle[:3000] @ few.T).max(axis=1).clip(max=1)).max() < 0.033
 
 
+@pytest.mark.parametrize("lost", [0, 1])
+@pytest.mark.parametrize("nothing", [None, trimesh.Trimesh()])
+def test_a_cut_has_two_pieces_or_is_none(lost, nothing, monkeypatch):
+    brick = trimesh.creation.box((0.3, 0.2, 0.1))
+    one, other = shapes._cut(brick)
+    assert one.volume + other.volume <= brick.volume + 1e-9
+    left = iter(nothing if k == lost else piece for k, piece in enumerate((one, other)))
+    monkeypatch.setattr(trimesh.Trimesh, "slice_plane", lambda *about: next(left))
+    assert shapes._cut(brick) == []
+
+
 def test_what_is_flat_has_the_hull_of_a_thin_box():
     corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 1, 0], [2, 1, 0], [1, 0.5, 0]]) + 3
     found, volume = _hull(corners)
