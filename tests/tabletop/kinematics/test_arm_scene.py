@@ -154,6 +154,18 @@ def test_other_arms_are_in_the_way_at_home_with_boxes_for_hands(pr2: Any) -> Non
         assert len(found.size) == OWN + len(one.solids) + len(pr2.body) + len(boxed)
 
 
+def test_only_joints_that_move_one_of_two_solids_alone_bring_them_nearer(
+    robot_and_arm: tuple[Any, Any],
+) -> None:
+    robot, model = robot_and_arm
+    made = robot.scenes[robot.arms.index(model)]
+    joints = [0, 0, 7, *model.solids.joints.tolist()]
+    still = joints + [0] * (len(made.size) - len(joints))  # also where other arms are at home
+    for (a, b, _), reach in zip(made.pairs.tolist(), made.reach.tolist(), strict=True):
+        moves = [value > 0 for value in reach]
+        assert moves == [still[b] <= joint < still[a] for joint in range(7)]
+
+
 def test_random_postures_are_within_limits_and_always_the_same() -> None:
     limits = torch.tensor([-1.0, 0.0, 2.0]).double(), torch.tensor([1.0, 0.5, 3.0]).double()
     robot: Any = SimpleNamespace(turn_limits=limits)

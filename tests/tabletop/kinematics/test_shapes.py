@@ -18,6 +18,7 @@ from cgtorch.tabletop.kinematics.shapes import (
     THIN,
     Shape,
     _box,
+    _box_axes,
     _circle,
     _hull,
     _outermost,
@@ -234,6 +235,14 @@ def test_what_is_flat_has_the_hull_of_a_thin_box():
     np.testing.assert_allclose(np.ptp(small, axis=0), THIN)
     cube, volume = _hull(CORNERS)
     assert (len(cube), volume) == (8, pytest.approx(8.0))
+
+
+@pytest.mark.parametrize("long", [0, 1])
+def test_of_what_is_flat_the_longest_side_is_found_as_well(long):
+    points = np.array([[0.0, 0, 0], [3, 0, 0], [0, 1, 0], [3, 1, 0], [1, 0.5, 0]])
+    axes, found = _box_axes(np.roll(points, long, axis=1))
+    np.testing.assert_allclose(np.abs(axes[:, found]), np.eye(3)[long], atol=0.2)
+    assert np.linalg.det(axes) == pytest.approx(1)
 
 
 def test_axes_are_turned_to_be_right_handed():
