@@ -28,6 +28,8 @@ from cgtorch.tabletop.kinematics.scene import (
     ABOVE,
     ALWAYS,
     BELOW_COSTS,
+    BITS,
+    BUILT_IN,
     CENTRE,
     _clear_of_nothing_else,
     _corners,
@@ -152,6 +154,33 @@ def test_other_arms_are_in_the_way_at_home_with_boxes_for_hands(pr2: Any) -> Non
         assert torch.equal(found.pairs, made.pairs[torch.tensor(kept)])
         assert torch.equal(found.reach, made.reach[torch.tensor(kept)])
         assert len(found.size) == OWN + len(one.solids) + len(pr2.body) + len(boxed)
+
+
+def test_what_touches_in_most_postures_is_built_so(
+    pr2: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Told for one pair after the other."""
+    seen = list[Scene]()
+
+    def noted(arm: Any, made: Scene) -> Tensor:
+        seen.append(made)
+        return torch.zeros(len(made.pairs), dtype=torch.bool)
+
+    model, built_in = pr2.arms[0], scene._built_in
+    monkeypatch.setattr(scene, "_built_in", noted)
+    monkeypatch.setattr(scene, "SPREAD", 40)
+    scene_of(model, pr2.body, pr2.body[:0])
+    (made,) = seen
+    found, q = built_in(model, made), random_postures(model, 40)
+    own = [k for k, (a, b, _) in enumerate(made.pairs.tolist()) if min(a, b) >= OWN]
+    assert len(own) > BITS
+    assert 3 < int(found.sum()) < len(own) - 3
+    assert not found[[k for k in range(len(found)) if k not in own]].any()
+    for k in own:
+        pair = torch.cat([made.pairs[k, :2], torch.tensor([REACH])])[None]
+        alone = replace(made, pairs=pair, reach=made.reach[k : k + 1])
+        clear = _clear_of_nothing_else(model, alone, torch.full((40,), REACH), q)
+        assert bool(found[k]) == (int((~clear).sum()) > BUILT_IN * 40)
 
 
 def test_only_joints_that_move_one_of_two_solids_alone_bring_them_nearer(

@@ -237,6 +237,7 @@ def test_what_is_flat_has_the_hull_of_a_thin_box():
     assert (len(cube), volume) == (8, pytest.approx(8.0))
 
 
+@pytest.mark.filterwarnings("ignore:invalid value encountered in divide")  # by no volume
 @pytest.mark.parametrize("long", [0, 1])
 def test_of_what_is_flat_the_longest_side_is_found_as_well(long):
     points = np.array([[0.0, 0, 0], [3, 0, 0], [0, 1, 0], [3, 1, 0], [1, 0.5, 0]])
