@@ -220,6 +220,23 @@ def test_no_rows(pr2):
     assert ways.joints.shape == (0, 1, 7)
 
 
+def test_random_numbers_are_those_of_the_seed_which_is_nought_by_default(pr2, monkeypatch):
+    keys, seeds, nothing = arm_way.row_keys, list[int](), (torch.zeros(0, 3), torch.zeros(0, 6))
+
+    def noted(position, table, seed):
+        seeds.append(seed)
+        return keys(position, table, seed)
+
+    monkeypatch.setattr(arm_way, "row_keys", noted)
+    for answer, wanted in (
+        (lambda: arm_ways(pr2, *nothing), {0}), (lambda: arm_ways(pr2, *nothing, 5), {5}),
+        (lambda: graspable(pr2, *nothing), {0}),
+    ):  # fmt: skip
+        seeds.clear()
+        answer()
+        assert {*seeds} == wanted
+
+
 def test_there_is_room_for_the_arm_with_most_joints(pr2):
     arm = pr2.arms[1]
     names = "lower", "upper", "continuous", "joint_names"

@@ -237,6 +237,24 @@ def test_what_is_flat_has_the_hull_of_a_thin_box():
     assert (len(cube), volume) == (8, pytest.approx(8.0))
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_part_that_fits_worst_is_cut_first(first, monkeypatch):
+    sides = (0.5, 0.05, 0.05), (0.05, 0.05, 0.5)
+    bars = [trimesh.creation.box(s, translation_matrix(np.array(s) / 2)) for s in sides]
+    corner, brick = trimesh.util.concatenate(bars), trimesh.creation.box((0.3, 0.2, 0.1))
+    brick.apply_translation([3, 0, 0])
+    pieces, asked = [corner, brick][:: 1 - 2 * first], []
+
+    def cut(mesh):
+        asked.append(mesh)
+        return [] if len(asked) > 1 else pieces
+
+    monkeypatch.setattr(shapes, "_cut", cut)
+    fit = fitted(trimesh.util.concatenate(pieces))
+    assert asked[1] is corner
+    assert len(fit.shapes) == 2
+
+
 @pytest.mark.filterwarnings("ignore:invalid value encountered in divide")  # by no volume
 @pytest.mark.parametrize("long", [0, 1])
 def test_of_what_is_flat_the_longest_side_is_found_as_well(long):

@@ -80,6 +80,8 @@ def test_legs_hang_where_arms_have_a_torso_or_reach_the_floor(tmp_path):
     assert arms(structure_of(tmp_path, PELVIS, chain("a", 6, "base", DOWN, "0 0 -0.2"))) == {
         "a5": 6
     }
+    one = chain("b", 6, "base", "0.1 0 0", SIDES[0]), chain("a", 6, "base", DOWN, HIPS[1])
+    assert arms(structure_of(tmp_path, PELVIS, *one)) == {"b5": 6, "a5": 6}  # it cannot stand
     stand = (chain(f"a{i}_", 6, "base", "0.1 0 -0.01", side) for i, side in enumerate(SIDES))
     low = link("base", box("0.3 0.3 0.05", "0 0 0.1"))
     assert len(arms(structure_of(tmp_path, low, *stand))) == 2  # which lead to the side
