@@ -11,4 +11,5 @@ from cgtorch.native.library import required as required
 from cgtorch.native.library import structure as structure
 from cgtorch.native.library import suits as suits
 from cgtorch.native.library import threads as threads
+from cgtorch.native.library import threads_worth as threads_worth
 from cgtorch.native.library import use_threads as use_threads

@@ -106,6 +106,11 @@ def threads() -> int:
     return _threads or torch.get_num_threads()
 
 
+def threads_worth(work: int, each: int) -> int:
+    """The number of threads for some work, of which `each` pays off for one more; at least one."""
+    return max(1, min(threads(), work // each))
+
+
 def use_threads(count: int) -> int:
     """Set the number of threads of compiled code, 0 for torch's; returns the previous setting.
 

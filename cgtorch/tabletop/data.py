@@ -163,7 +163,7 @@ def label(scenes: Scenes, scenarios: Scenarios) -> tuple[Tensor, Tensor]:
     """The percept at each pose (B, D), and (B,) bool whether a grasp succeeds there."""
     world = scenes.world(scenarios)
     lanes = start_lanes(world, torch.arange(len(scenarios)), 0, 0)
-    return lanes.percept, world.success(lanes)[1] > 0.5
+    return lanes.percept, world.success(lanes)[1].bool()
 
 
 def grasp_labels(scenes: Scenes, count: int, generator: Generator) -> tuple[Tensor, Tensor]:

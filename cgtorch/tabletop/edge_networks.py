@@ -131,7 +131,7 @@ def edge_frame(percept: Tensor) -> EdgeFrame:
     seen = parts_of(percept)
     table, placed = seen.table, seen.object
     at = rotate(placed - table[..., :2], -table[..., 2])
-    half = table[..., 3:5] / 2
+    half = table[..., 3:] / 2
     # Edges at -x, -y, +x, +y of the table: a quarter turn from each to the next.
     gaps = torch.cat([half + at, half - at], -1)
     nearest = gaps.argmin(-1, keepdim=True)
@@ -176,11 +176,11 @@ def into(frame: EdgeFrame, point: Tensor) -> Tensor:
     extra = (1,) * (point.dim() - frame.origin.dim())
     shape = (*frame.yaw.shape, *extra)
     out = rotate(point - frame.origin.view(*shape, 2), -frame.yaw.view(shape))
-    return torch.stack([out[..., 0], out[..., 1] * frame.mirror.view(shape)], -1)
+    return torch.stack([out[..., 0], frame.mirror.view(shape) * out[..., 1]], -1)
 
 
 def motion_to(frame: EdgeFrame, pose: Tensor) -> Tensor:
     """Motions (n, 3) dx, dy (m), dθ (rad) of the base to poses (n, 3) in edge frames."""
     x, y, heading = pose.unbind(-1)
-    way = frame.origin + rotate(torch.stack([x, y * frame.mirror], -1), frame.yaw)
-    return torch.cat([way, wrap(frame.yaw + heading * frame.mirror)[..., None]], -1)
+    way = frame.origin + rotate(torch.stack([x, frame.mirror * y], -1), frame.yaw)
+    return torch.cat([way, wrap(frame.yaw + frame.mirror * heading)[..., None]], -1)

@@ -46,8 +46,8 @@ class EdgeNN(ContinuousNN):
         """The motion dx, dy (m), dθ (rad) to the pose."""
         frame = edge_frame(percept)
         x, y, heading = self.output(percept)
-        dx, dy = turned((x, y * frame.mirror), frame.yaw)
-        turn = wrapped(frame.yaw + heading * frame.mirror)
+        dx, dy = turned((x, frame.mirror * y), frame.yaw)
+        turn = wrapped(frame.yaw + frame.mirror * heading)
         return [frame.origin[0] + dx, frame.origin[1] + dy, turn]
 
 
@@ -124,7 +124,7 @@ def obstacles(frame: Frame, percept: list[float]) -> list[float]:
 def into(frame: Frame, point: tuple[float, float]) -> tuple[float, float]:
     """A point of the base frame in the edge's frame."""
     x, y = turned((point[0] - frame.origin[0], point[1] - frame.origin[1]), -frame.yaw)
-    return x, y * frame.mirror
+    return x, frame.mirror * y
 
 
 def turned(point: tuple[float, float], angle: float) -> tuple[float, float]:

@@ -113,7 +113,7 @@ class Scene:
         self._wait(GRASP)
         self.lanes, good = self.world.success(self.lanes)
         self._note("test")
-        return bool(good > 0.5)
+        return bool(good)
 
     def _note(self, what: str) -> None:
         if self.done is not None:

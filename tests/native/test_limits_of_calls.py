@@ -7,7 +7,7 @@ from cgtorch import native
 from cgtorch.evolution import compiled
 from cgtorch.evolution.selection import deviation, parents
 from cgtorch.ground import counter_rng
-from cgtorch.native import alike, available, function, suits, use_threads
+from cgtorch.native import alike, available, function, suits, threads_worth, use_threads
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
 
@@ -40,6 +40,7 @@ def test_what_needs_a_gradient_does_not_suit_unless_nobody_asks_for_it() -> None
 def test_threads_are_those_of_torch_unless_others_are_set() -> None:
     assert use_threads(3) == 0
     assert native.threads() == 3
+    assert [threads_worth(work, 4) for work in (0, 3, 4, 11, 12, 99)] == [1, 1, 1, 2, 3, 3]
     assert use_threads(0) == 3
     assert native.threads() == torch.get_num_threads()
 

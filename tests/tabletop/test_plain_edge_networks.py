@@ -111,6 +111,25 @@ def test_no_corner_is_passed_on_a_motion_that_is_possible(motion: list[float]) -
     assert plain.first_motion([BLOCK], motion, SMALL) == motion
 
 
+@pytest.mark.parametrize("size", [7, 9])
+def test_all_obstacles_that_are_present_are_seen_also_beside_an_axis(size: int) -> None:
+    boxes = [[0.0, 1.0, 0.0, 2.0], [0.0] * 4, [-1.0, 0.0, 0.5, 0.75]]
+    seen = percepts("general", "box" if size == 7 else "yaw")[0].tolist()
+    found = plain.things([*seen, *(x for box in boxes for x in box)])
+    assert found[1:] == [(0.5, 1.0, 0.0, 1.0, 2.0), (-0.5, 0.625, 0.0, 1.0, 0.25)]
+    percept = [*seen, *(x for box in boxes for x in box)]
+    whole = torch.tensor([percept]).double()
+    wanted = obstacles(edge_frame(whole), whole)[0].tolist()
+    assert plain.obstacles(plain.edge_frame(percept), percept) == pytest.approx(wanted, abs=1e-6)
+
+
+def test_who_is_shut_in_has_no_way_and_no_corner() -> None:
+    walls = [(x, y, 0.0, 0.1 + 2 * abs(y), 0.1 + 2 * abs(x)) for x, y in ((1, 0), (-1, 0))]
+    walls += [(0.0, y, 0.0, 2.0, 0.1) for y in (-1, 1)]
+    assert plain.shortest(walls, [3.0, 0.0, 0.0], 0.0, SMALL) == (math.inf, (0.0, 0.0))
+    assert plain.first_motion(walls, [3.0, 0.0, 0.0], SMALL) == [3.0, 0.0, 0.0]
+
+
 BAFFLES = [(1.3, 2.8, 0.0, 0.1, 6.4), (3.3, -3.3, 0.0, 0.1, 7.4)]
 
 

@@ -1,6 +1,7 @@
 """The stand-in for a robot: its scene, and its driver over a connection."""
 
 import json
+import socket
 import threading
 import time
 from pathlib import Path
@@ -113,6 +114,26 @@ def test_no_robot_is_one_error_with_the_address(
         StandIn()
 
 
+def test_a_robot_that_answers_no_more_is_an_error_with_its_address(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        monkeypatch.setenv(ADDRESS, address)
+        robot = StandIn()
+        connection, _ = server.accept()
+        connection.shutdown(socket.SHUT_WR)
+        with pytest.raises(ConnectionError, match=f"robot at '{address}' does not answer"):
+            robot.perceive()
+        assert json.loads(connection.recv(99)) == ["perceive"]
+        connection.close()
+
+
+def test_a_robot_may_begin_again_at_once_and_ends_with_its_process() -> None:
+    assert stand_in._Server.allow_reuse_address
+    assert stand_in._Server.daemon_threads
+
+
 def test_the_robot_is_the_one_that_is_asked_for_and_its_noise_never_repeats(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -121,10 +142,12 @@ def test_the_robot_is_the_one_that_is_asked_for_and_its_noise_never_repeats(
     def seen(settings: TabletopSettings, speed: float, done: JsonLines | None) -> None:
         about.append(settings)
         assert (speed, done) == (2.0, None)
+        assert torch.get_num_threads() == 1
         raise KeyboardInterrupt
 
     monkeypatch.setattr(stand_in, "Scene", seen)
     threads = torch.get_num_threads()
+    torch.set_num_threads(2)
     with pytest.raises(KeyboardInterrupt):
         stand_in.main.callback(port=0, robot="fetch", world="kinematic", speed=2.0, count=None)
     torch.set_num_threads(threads)

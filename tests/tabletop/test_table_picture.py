@@ -7,15 +7,23 @@ import numpy as np
 import pytest
 import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
 from support import seeded
 
 from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.table_picture import (
     AROUND,
+    BAD,
     FOOTPRINT,
+    GOOD,
     LONGEST,
     MARGINS,
+    PANEL,
+    RIM,
+    ROBOT,
     SCENES,
+    TABLE,
+    TARGET,
     _bounds,
     draw_placements,
     draw_scenes,
@@ -121,6 +129,47 @@ def test_title_legend_scale_orientation_and_edge_names() -> None:
     assert y0 < low[0] < high[0] < y1
 
 
+def test_lines_and_words_are_fine_and_nothing_hides_what_matters() -> None:
+    scenarios, succeeded, targets = some()
+    figure = draw_table_top(scenarios, succeeded, targets)
+    axes, parts = figure.axes[0], drawn(figure)
+    assert (figure.dpi, to_hex(figure.get_facecolor())) == (100, "#ffffff")
+    for text in axes.texts:
+        assert (text.get_ha(), text.get_va(), text.get_style()) == ("center", "center", "italic")
+        assert (text.get_fontsize(), text.get_color()) == (10, "#7a6745")
+        assert parts["table"].get_zorder() < text.get_zorder() < parts["reached"].get_zorder()
+    assert (axes.title.get_fontsize(), axes.title.get_color()) == (11, TARGET)
+    (legend,) = figure.legends
+    assert (legend._ncols, legend.get_frame_on(), legend._loc) == (2, False, 8)  # lower center
+    assert {text.get_fontsize() for text in legend.get_texts()} == {9}
+    assert {"robot at its start", "test placements (5)"} <= {
+        text.get_text() for text in legend.get_texts()
+    }
+    table = parts["table"]
+    assert (to_hex(table.get_facecolor()), to_hex(table.get_edgecolor())) == (TABLE, RIM)
+    assert table.get_linewidth() == pytest.approx(1.4)
+    for gid, colour in (("reached", GOOD), ("missed", BAD)):
+        mark = parts[gid]
+        assert to_hex(mark.get_facecolor()[0]) == colour
+        assert (to_hex(mark.get_edgecolor()[0]), mark.get_linewidths()) == ("#ffffff", [0.6])
+    ring = parts["targets"]
+    assert (to_hex(ring.get_edgecolor()[0]), ring.get_linewidths()) == (TARGET, [1.6])
+    robots, headings = (c for c in axes.collections if len(c.get_paths()) == 31)
+    for part in (robots, headings):
+        assert to_hex(part.get_edgecolor()[0]) == ROBOT
+        assert (part.get_linewidths(), part.get_zorder()) == ([0.9], 2)
+    assert [line.get_color() for line in axes.get_xgridlines()[:1]] == ["#e6e6e6"]
+    assert axes.get_xgridlines()[0].get_linewidth() == pytest.approx(0.6)
+    assert axes.get_axisbelow()
+    shown = {side: axes.spines[side].get_visible() for side in ("left", "bottom", "top", "right")}
+    assert shown == {"left": True, "bottom": True, "top": False, "right": False}
+    for axis in (axes.xaxis, axes.yaxis):
+        assert np.diff(axis.get_majorticklocs()) == pytest.approx(0.5)
+    blank = draw_table_top(scenarios[:0], NONE[:0])
+    assert blank.get_size_inches().tolist() == pytest.approx([4.2, 4.2])
+    assert not blank.legends
+
+
 def test_a_turned_robot_and_a_turned_table() -> None:
     quarter = torch.pi / 2
     pose = torch.tensor([[-2.0, 1.0, quarter]])
@@ -165,6 +214,13 @@ def test_placements_at_several_tables_have_a_panel_each_in_one_scale() -> None:
     figure = draw_placements(scenarios, torch.arange(7) < 5, NONE, title="S1")
     assert figure.get_suptitle().startswith("S1: 5 of 7 reached; panels ")
     assert len(figure.axes) == 7
+    assert figure.get_size_inches().tolist() == pytest.approx([4 * PANEL, 2 * PANEL + 0.5])
+    assert {a.get_aspect() for a in figure.axes} == {1}
+    assert not any(len(a.get_xticks()) or len(a.get_yticks()) for a in figure.axes)
+    two = draw_scenes(scenarios[:2], torch.ones(2))
+    assert two.get_size_inches().tolist() == pytest.approx([2 * PANEL, PANEL + 0.5])
+    assert [(a.get_subplotspec().rowspan.start, a.get_subplotspec().colspan.start)
+            for a in figure.axes] == [(i // 4, i % 4) for i in range(7)]  # fmt: skip
     limits = [limit for a in figure.axes for limit in (a.get_xlim(), a.get_ylim())]
     (span,) = {round(float(np.ptp(limit)), 5) for limit in limits}
     assert float(figure.get_suptitle().split()[-3]) == pytest.approx(span, abs=0.05)

@@ -97,6 +97,14 @@ def test_worlds_and_measures_are_those_of_the_settings() -> None:
     assert seen.physics is other
 
 
+def test_a_motion_is_two_lengths_and_an_angle() -> None:
+    told = [(f.name, f.unit, f.low, f.high, f.kind) for f in Tabletop.control]
+    assert told == [
+        ("dx", "m", -2, 2, "number"), ("dy", "m", -2, 2, "number"),
+        ("dθ", "rad", -torch.pi, torch.pi, "angle"),
+    ]  # fmt: skip
+
+
 def test_tests_are_five_objects_along_an_edge_and_none_elsewhere() -> None:
     for kind in of().kinds:
         tests = of().tests(kind)

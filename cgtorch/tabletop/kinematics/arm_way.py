@@ -215,9 +215,9 @@ def _plan_some(robot: Robot, places: Places, key: Tensor, some: Grasps, ways: _F
     """Plan ways to grasps (M,) by the same arm."""
     which, begin = int(some.rank[0]) % len(robot.arms), some.line[:, 0]
     ends = torch.stack([robot.home[which].to(begin).expand_as(begin), begin], 1)
-    held = replace(places[some.row], held=some.held)
     keys, kind = words(key[some.row], some.rank), torch.full_like(some.row, REACH)
-    vias, count = ways_planned(robot.arms[which], robot.scenes[which], held, kind, ends, keys)
+    here = places[some.row]
+    vias, count = ways_planned(robot.arms[which], robot.scenes[which], here, kind, ends, keys)
     done = count > 0
     ways.fill(some[done])
     rows = some.row[done]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.errors import RobotError
-from cgtorch.native import agree, required, threads
+from cgtorch.native import agree, required, threads_worth
 from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.solids import Tensors
 
@@ -30,6 +30,7 @@ them."""
 ROUNDS = 100  # of a planner
 STEP = 0.7
 """The length of a planner's step, by all joints together, rad or m."""
+WORTH_SHARING = 4  # ways that are worth one more thread
 VIAS = 16
 """The largest number of waypoints on a planned way, including its ends."""
 
@@ -82,7 +83,7 @@ def ways_clear(arm: ArmModel, scene: Scene, places: Places, kind: Tensor, ways: 
     """
     ways, clear = ways.double(), torch.empty(len(ways), dtype=torch.bool)
     task = ways_task(arm, scene, places.to(ways), kind, ways, clear)
-    shares = max(1, min(threads(), len(ways) // 4))
+    shares = threads_worth(len(ways), WORTH_SHARING)
     required(torch.float64).functions["ways_clear"](task, shares)
     return clear
 
@@ -111,7 +112,7 @@ def ways_planned(
         ways=ways_task(arm, scene, places.to(ends), kind, ends), lower=low, upper=high, key=key,
         found=found, count=count, rounds=ROUNDS, step=STEP,
     )  # fmt: skip
-    if library.functions["ways_planned"](plans, max(1, min(threads(), len(ends)))):
+    if library.functions["ways_planned"](plans, threads_worth(len(ends), 1)):
         raise MemoryError("no memory to plan ways of arms; give the process more")
     return found, count
 

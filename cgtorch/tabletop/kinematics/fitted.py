@@ -153,7 +153,7 @@ def _pose(origin: Any) -> Array:
         [0.0] * 3 if text is None else [float(part) for part in text.replace(",", " ").split()]
         for text in (None if origin is None else origin.get(name) for name in ("xyz", "rpy"))
     )
-    pose = np.asarray(transformations.euler_matrix(*rpy, "sxyz"), dtype=np.float64)
+    pose: Array = transformations.euler_matrix(*rpy, "sxyz")
     pose[:3, 3] = xyz
     return pose
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from cgtorch.native import required, threads
+from cgtorch.native import required, threads_worth
 from cgtorch.tabletop.kinematics.arm import ArmModel
 from cgtorch.tabletop.kinematics.clear_ways import (
     APPROACH,
@@ -76,8 +76,7 @@ def grasps(robot: Robot, which: int, lines: Lines, places: Places) -> Grasps:
 def grasps_of_any_arm(robot: Robot, which: int, lines: Lines, places: Places) -> Grasps:
     """The same as `grasps` for any arm, with all lines at once, posture after posture."""
     arm, scene, path = robot.arms[which], robot.scenes[which], lines.path
-    home = robot.home[which].to(path.device).double()
-    solved = torch.zeros(len(path), dtype=torch.bool, device=path.device)
+    home, solved = robot.home[which].double(), torch.zeros(len(path), dtype=torch.bool)
     found = [(lines.row[:0], solved[:0], home.new_empty(0, LINE, len(home)))]
     for part in postures_in_turn(arm, path, solved):
         near = _near_home(arm, *followed(robot, which, path, places[lines.row], *part), home)
@@ -164,8 +163,7 @@ def _grasps_in_closed_form(
         steps=LINE, near=NEAR, tried=TRIED, few=FEW, sparse=SPARSE, most_step=MAX_STEP,
         most_turn=MAX_TURN,
     )  # fmt: skip
-    shared = max(1, min(threads(), count // WORTH_SHARING))
-    if library.functions["grasps_found"](task, shared):
+    if library.functions["grasps_found"](task, threads_worth(count, WORTH_SHARING)):
         raise MemoryError("no memory to look for grasps; give the process more")
     kept = state.nonzero()[:, 0]
     straight = state[kept] == STRAIGHT

@@ -70,7 +70,7 @@ def has_posture(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
     check_rows(position, table)
     table = table.to(position)
     none = len(robot.arms) * len(APPROACHES)
-    rank = torch.full((len(position),), none, device=position.device)
+    rank = torch.full((len(position),), none)
     for part in zip(*(each.split(CHUNK) for each in (position, table, rank)), strict=True):
         places = places_of(*part[:2])
         for which, lines in lines_to_try(robot, *part):
@@ -106,7 +106,7 @@ def lines_to_try(
     while start < len(APPROACHES) and len(open_rows):
         # The more approaches at once, the fewer rows there are.
         count = max(1, _GROUP // len(open_rows))
-        group = torch.arange(start, min(start + count, len(APPROACHES)), device=rank.device)
+        group = torch.arange(start, min(start + count, len(APPROACHES)))
         start += count
         for which in range(arms):
             order = group * arms + which
@@ -166,7 +166,7 @@ def followed(
 
 def nth_of_each(row: Tensor) -> Tensor:
     """(M,) the number of earlier entries with the same value in ascending rows (M,)."""
-    return torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
+    return torch.arange(len(row)) - torch.searchsorted(row, row)
 
 
 def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float) -> Tensor:
@@ -187,7 +187,7 @@ def waypoints(position: Tensor, steepness: Tensor | float, side: Tensor | float)
     up = torch.stack([zero, zero, zero + 1], dim=1)
     grasp, behind, above = position + GRASP_HEIGHT * up, PRE_GRASP * along, LIFT * up
     points = [grasp - behind, grasp - behind / 2, grasp, grasp + above / 2, grasp + above]
-    pose = torch.zeros(len(position), 5, 4, 4, dtype=position.dtype, device=position.device)
+    pose = position.new_zeros(len(position), 5, 4, 4)
     pose[:, :, :3, :3] = torch.stack([along, across, upward], dim=2)[:, None]
     pose[:, :, :3, 3] = torch.stack(points, dim=1)
     pose[:, :, 3, 3] = 1

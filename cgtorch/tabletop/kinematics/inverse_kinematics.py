@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.native import required, threads
+from cgtorch.native import required, threads_worth
 from cgtorch.tabletop.kinematics.solids import Tensors
 
 PAN_SAMPLES = 48
@@ -165,7 +165,7 @@ def closed_form_follow(
     form: SphericalArm, mount: Tensor, q: Tensor, pose: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Like `ArmModel.follow`, in the branch and at the pan angle of q (M, 7)."""
-    angle, steps = q * form.signs, pose.shape[1]
+    angle, steps = form.signs * q, pose.shape[1]
     signs = torch.stack([angle[:, 3].sin(), angle[:, 2].cos(), angle[:, 5].sin()], dim=-1)
     branch = (signs[:, None] * form.branches > 0).sum(-1).argmax(dim=1)
     each = (x.repeat_interleave(steps)[:, None] for x in (angle[:, 0], branch))
@@ -183,7 +183,7 @@ def _solutions(
         form=form_structure(form, mount), pose=pose, pan=pan, branch=branch, q=q, reached=reached,
         poses=rows, tries=tries,
     )  # fmt: skip
-    library.functions["arm_solutions"](task, max(1, min(threads(), rows // WORTH_SHARING)))
+    library.functions["arm_solutions"](task, threads_worth(rows, WORTH_SHARING))
     return q, reached
 
 
@@ -314,7 +314,7 @@ def _error(reached: Tensor, wanted: Tensor, heading: Heading | None) -> Tensor:
         skew, cosine = torch.linalg.cross(now, heading.up.expand_as(now)), now @ heading.up
     sine = skew.norm(dim=1)
     angle = torch.atan2(sine, cosine)
-    scale = torch.where(sine > 1e-6, angle / sine.clamp_min(1e-6), torch.ones_like(sine))
+    scale = angle / sine.clamp_min(_TOLERANCE)
     return torch.cat([wanted[:, :3, 3] - reached[:, :3, 3], skew * scale[:, None]], dim=1)
 
 

@@ -15,7 +15,7 @@ from lxml import etree
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
-from cgtorch.tabletop.kinematics.urdf import MOST, parsed
+from cgtorch.tabletop.kinematics.urdf import MOST, REASON, one_line, parsed
 
 KINDS = (".stl", ".dae", ".obj")
 MAX_BYTES = 32 * 2**20
@@ -54,7 +54,7 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
         used, index = np.unique(faces, return_inverse=True)
         vertices = vertices[used]
     except Exception as error:  # trimesh lets through whatever its parts raise
-        reason = " ".join(str(error).split())[:100] or type(error).__name__
+        reason = one_line(error)[:REASON]
         raise RobotError(f"{where} cannot be read ({reason}): export it again") from None
     if not 0 < len(faces) <= MAX_TRIANGLES:
         raise RobotError(

@@ -104,9 +104,9 @@ def _built_in(arm: ArmModel, scene: Scene) -> Tensor:
 
 def _clear_of_nothing_else(arm: ArmModel, scene: Scene, kind: Tensor, q: Tensor) -> Tensor:
     """(B,) whether postures (B, n) are clear for kinds (B,), with neither table nor object."""
-    far, rows = torch.eye(3, 4, dtype=torch.float64)[None], torch.zeros_like(kind)
-    nothing = Places(far, scene.size[TABLE : TABLE + 1], far, far)
-    return ways_clear(arm, scene, nothing[rows], kind, q[:, None])
+    any_ = torch.full_like(kind, TABLE)  # as no pair has any of these
+    nothing = Places(scene.pose[any_], scene.size[any_], scene.pose[any_], scene.pose[any_])
+    return ways_clear(arm, scene, nothing, kind, q[:, None])
 
 
 def _near_enough(arm: ArmModel, scene: Scene) -> Tensor:

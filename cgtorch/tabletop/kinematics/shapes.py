@@ -106,7 +106,7 @@ def _hull(points: Array) -> tuple[Array, float]:
     middle, axes, extent = _principal(points)
     if extent.min() >= THIN:
         try:
-            hull = ConvexHull(points - middle)
+            hull = ConvexHull(points)
             return points[hull.vertices], float(hull.volume)
         except QhullError:
             pass  # such as a million points in a plane, but for rounding
@@ -216,7 +216,7 @@ def _pose(axes: Array, middle: Array) -> Array:
 
 
 def _right_handed(axes: Array) -> Array:
-    return axes * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))])
+    return np.array([1.0, 1.0, np.sign(np.linalg.det(axes))]) * axes
 
 
 def _cut(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:

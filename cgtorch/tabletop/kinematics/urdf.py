@@ -20,6 +20,7 @@ from cgtorch.tabletop.kinematics.dialects import completed
 MAX_BYTES = 8_000_000
 MAX_LINKS, MAX_DEPTH = 500, 100
 LISTED = 4  # lines or links that an error names
+REASON = 100  # characters of what another library says that an error repeats
 MOST = 1e6  # m or rad: what is computed from such numbers is finite, too
 MOVING = ("revolute", "continuous", "prismatic")
 _JOINT_TYPES = (*MOVING, "fixed", "floating", "planar")
@@ -146,7 +147,7 @@ def checked_urdf(path: Path, root: Any) -> Urdf:
     except Exception as error:  # yourdfpy lets through whatever its parts raise
         refused = error
     if refused is not None:
-        raise RobotError(f"{where} is refused by yourdfpy ({_line(refused)}): correct it")
+        raise RobotError(f"{where} is refused by yourdfpy ({one_line(refused)}): correct it")
     return Urdf(path, xml, model)
 
 
@@ -164,7 +165,8 @@ def inertial_problem(link: Any) -> str:
     return ""
 
 
-def _line(error: object) -> str:
+def one_line(error: object) -> str:
+    """The words of an error in one line; the name of its type if it has none."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
@@ -178,7 +180,7 @@ def parsed(data: bytes, where: str, huge: bool = False) -> Any:
     try:
         root = _tree(data, options)
     except (etree.XMLSyntaxError, ValueError) as error:
-        reason = _line(error)[:100]
+        reason = one_line(error)[:REASON]
         raise RobotError(f"{where} is not well-formed XML ({reason}): correct it") from None
     info = root.getroottree().docinfo
     if info.internalDTD is not None:

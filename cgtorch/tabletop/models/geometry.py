@@ -154,7 +154,7 @@ def scene_of(percept: Tensor, sides: Tensor) -> Scene:
     if not seen.side.shape[-1]:
         return Scene(seen, parts, mirror_yaws(parts, sides), sides)
     table = seen.table
-    return Scene(seen, parts, table[..., 2:3].expand(*table.shape[:-1], 2), table[..., 3:5])
+    return Scene(seen, parts, table[..., 2:3].expand(*table.shape[:-1], 2), table[..., 3:])
 
 
 def mirror_yaws(parts: Tensor, sides: Tensor) -> Tensor:

@@ -30,13 +30,13 @@ def drive(model: Model, scene: Scene, goal: Array, watch: Watch | None = None) -
     """
     d, tick, bumped = put(model, scene), STEPS * TIMESTEP, False
     for reference, speed in motion_to(scene.pose, goal, tick):
-        d.ctrl[:3] = speed + CORRECTION * (reference - d.qpos[:3])
+        d.ctrl[:] = speed + CORRECTION * (reference - d.qpos[:3])
         advance(model, STEPS, watch)
         bumped = in_contact(model, model.bumping)
         if bumped:
             break
     for _ in range(round(REST / tick)):
-        d.ctrl[:3] = 0.0 if bumped else CORRECTION * (goal_near(d.qpos[2], goal) - d.qpos[:3])
+        d.ctrl[:] = 0.0 if bumped else CORRECTION * (goal_near(d.qpos[2], goal) - d.qpos[:3])
         advance(model, STEPS, watch)
     pose = numpy.array(d.qpos[:3])
     away = goal_near(pose[2], goal) - pose

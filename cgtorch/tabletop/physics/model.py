@@ -4,7 +4,6 @@ One model serves all scenes with the same number of boxes; positions and sizes a
 before each simulation (`cgtorch.tabletop.physics.scene`).
 """
 
-import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -39,7 +38,7 @@ METAL, GREY, WOOD, BROWN, GREEN = (
     [0.1, 0.55, 0.3, 1],
 )  # fmt: skip
 AMBIENT, DIFFUSE = [0.4, 0.4, 0.4], [0.5, 0.5, 0.5]
-LAMP: dict[str, Any] = {"pos": [0, 0, 4], "dir": [0, 0, -1], "castshadow": False}
+LAMP: dict[str, Any] = {"pos": [0, 0, 4], "castshadow": False}
 GROUND = ("slab", "block")
 BASE = ("base x", "base y", "base turn")
 
@@ -183,7 +182,6 @@ def _empty(mj: Any) -> Any:
     option.cone = mj.mjtCone.mjCONE_ELLIPTIC
     spec.compiler.degree = False
     spec.compiler.balanceinertia = True
-    spec.compiler.autolimits = True
     return spec
 
 
@@ -213,7 +211,7 @@ def _add_robot(mj: Any, spec: Any, bodies: list[RigidBody], servos: dict[str, Se
             one.add_geom(
                 name=f"{body.name}#{k}", type=_geom(mj, shape.kind), size=_three(shape.size),
                 pos=shape.pose[:3, 3], quat=_quaternion(mj, shape.pose), condim=4, mass=0,
-                contype=1, conaffinity=1, rgba=METAL,
+                rgba=METAL,
             )  # fmt: skip
 
 
@@ -238,15 +236,14 @@ def _add_scene(mj: Any, spec: Any, boxes: int, thing: Thing) -> None:
     for name in _box_names(boxes):
         body = spec.worldbody.add_body(name=name, mocap=True)
         body.add_geom(
-            name=name, type=_geom(mj, "box"), size=[1, 1, 1], condim=4, contype=1, conaffinity=1,
+            name=name, type=_geom(mj, "box"), size=[1, 1, 1], condim=4,
             rgba=WOOD if name in GROUND else BROWN,
         )  # fmt: skip
     body = spec.worldbody.add_body(name="object")
     body.add_freejoint(name="object")
     body.add_geom(
         name="object", type=_geom(mj, thing.kind), size=_three(thing.size), mass=thing.mass,
-        condim=4, contype=1, conaffinity=1 | FLOOR, friction=[thing.friction, 0.01, 0.001],
-        rgba=GREEN,
+        condim=4, conaffinity=1 | FLOOR, friction=[thing.friction, 0.01, 0.001], rgba=GREEN,
     )  # fmt: skip
 
 
@@ -320,6 +317,6 @@ def _three(size: tuple[float, ...]) -> list[float]:
 
 
 def _quaternion(mj: Any, pose: NDArray[numpy.float64]) -> NDArray[numpy.float64]:
-    out = numpy.zeros(4)
+    out = numpy.empty(4)
     mj.mju_mat2Quat(out, pose[:3, :3].flatten())
-    return out / math.sqrt(float(out @ out))
+    return out

@@ -191,7 +191,7 @@ class MujocoWorld(ObservedTabletop):
         state = torch.where(free[:, None], seen, lanes.state)
         percept = torch.where(free[:, None], percept, lanes.percept)
         done = free.clone()
-        done[rows] = found[:, 10] > 0.5
+        done[rows] = found[:, 10].bool()
         return replace(lanes, state=state, percept=percept), done
 
     def success(self, lanes: Lanes) -> tuple[Lanes, Tensor]:
@@ -199,7 +199,7 @@ class MujocoWorld(ObservedTabletop):
         state = lanes.state
         seen = torch.cat([lanes.percept[:, 4:6], state[:, -EXTRA, None]], 1)
         found = grasps(self.physics, torch.cat([self.scene(state), seen], 1))
-        lifted, touched = (found[:, i] > 0.5 for i in (0, 1))
+        lifted, touched = found[:, :2].bool().unbind(1)
         after = self._with_thing(state, found[:, 2:9])
         after = torch.cat([after[:, :-1], after[:, -1:].maximum(found[:, 1:2])], 1)
         good = lifted & ~touched if self.touch == "fails" else lifted

@@ -140,11 +140,11 @@ def _add_stand(root: Any, structure: Structure, floor: str, pose: Array, stand: 
     points = structure.seen(structure.rigid(structure.base)) @ pose[:3, :3].T
     points = points if len(points) else np.zeros((1, 3))
     low, high = points.min(axis=0), points.max(axis=0)
-    sides, middle = np.maximum(high - low, LEAST), np.eye(4)
-    sides[2], middle[:3, 3] = stand, [*(low + high)[:2] / 2, stand / 2]
+    sides = [*np.maximum(high - low, LEAST)[:2], stand]
+    middle = transformations.translation_matrix([*(low + high)[:2] / 2, stand / 2])
     add_frame(root, _unused(structure, STAND_LINK), floor, middle)
     box = etree.SubElement(root.findall("link")[-1], "collision")
-    etree.SubElement(etree.SubElement(box, "geometry"), "box", size=_words(sides.tolist()))
+    etree.SubElement(etree.SubElement(box, "geometry"), "box", size=_words(sides))
 
 
 def _forward(structure: Structure, chains: list[list[Any]]) -> float:
@@ -162,7 +162,6 @@ def _forward(structure: Structure, chains: list[list[Any]]) -> float:
             model.update_cfg({j.name: float(x) for j, x in zip(chain, at, strict=True)})
             way = structure.pose(chain[-1].child)[:3, 3] - structure.pose(chain[0].child)[:3, 3]
             ways = np.concatenate([ways, way[None]])
-        model.update_cfg({joint.name: at_rest(joint) for joint in chain})
     x, y = ways[:, :2].mean(axis=0) if len(ways) else (0.0, 0.0)
     direction = math.atan2(y, x)
     if math.hypot(x, y) < ONE_WAY * np.linalg.norm(ways, axis=1).mean() or abs(direction) < ASIDE:

@@ -137,7 +137,7 @@ def _shared(structure: Structure, path: list[Any], paths: list[list[Any]]) -> in
         torso = max(rest, others) >= LEAST_JOINTS or min(rest, others) > FEWEST
         if other is not path and others >= FEWEST and torso:
             count = max(count, same)
-    for i, joint in enumerate(path[: len(path) - LEAST_JOINTS]):
+    for i, joint in enumerate(path):
         alone = i >= count and slides_upright(structure, joint)
         if alone and _freedom(structure, path[i + 1 :]) >= FEW_JOINTS + 1:
             count = i + 1

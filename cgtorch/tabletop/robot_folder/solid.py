@@ -11,7 +11,6 @@ from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf, inertia
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 DENSITY = 500.0  # kg/m³ of a link's box whose mass is not known
-LIGHT = 0.01  # minimum mass of a moving link, kg
 SMALL = 0.03  # m: sides of the box of a link without shapes
 UNBALANCED = 1.01  # of one moment of inertia to the sum of the two others
 
@@ -98,7 +97,7 @@ def _inertial_of_box(structure: Structure, link: str) -> Any:
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3),) * 2
     sides = np.maximum(high - low, SMALL)
     mass = _mass(structure, link)
-    mass = mass if mass > 0 else max(LIGHT, DENSITY * float(sides.prod()))
+    mass = mass if mass > 0 else DENSITY * float(sides.prod())
     squares = sides**2
     moments = mass / 12 * (squares.sum() - squares)
     element = etree.Element("inertial")

@@ -25,6 +25,8 @@ BEYOND_END = (
 BEYOND = (-0.03, 0.14)  # m from there along the approach, where a frame that is there may be
 ASIDE = 0.015  # m across it
 ALONG, ACROSS = 0.95, 0.9  # cosines by which axes of a frame that is there may differ
+LED = 0.8  # cosine of a last joint's axis to the way to the fingers from which it leads there
+ROUNDING = 1e-6  # m, or of unit vectors
 
 
 @dataclass(frozen=True)
@@ -155,12 +157,12 @@ def open_fingers(structure: Structure, hand: str) -> dict[str, float]:
     if len(joints) == 1 == len(structure.moved(hand)):
         return _jaw_opened(structure, hand, names[0], *ends[0])
     every = itertools.product(*ends) if len(names) <= MOST_TRIED else zip(*ends, strict=True)
-    best, widest = dict.fromkeys(names, 0.0), -1.0
+    best, widest = dict[str, float](), -1.0
     for positions in every:
         tried = dict(zip(names, positions, strict=True))
         structure.urdf.model.update_cfg(tried)
         opening = _opening(structure, hand)
-        if opening > widest + 1e-6:
+        if opening > widest + ROUNDING:
             best, widest = tried, opening
     structure.urdf.model.update_cfg(best)
     return best
@@ -246,7 +248,7 @@ def _approach(structure: Structure, hand: str, toward: Array) -> Array:
     """The direction in a hand's frame in which it approaches things: to a point, from the arm.
 
     What the last joint moves may begin behind that joint, so that a direction along its axis is
-    told from where the joint before it is.
+    told from where the joint before it is, and so it is if the point is at that joint.
     """
     before, joint = structure.path(hand)[-2:]
     turned = np.asarray(structure.urdf.model.get_transform(joint.child, hand))
@@ -254,18 +256,18 @@ def _approach(structure: Structure, hand: str, toward: Array) -> Array:
     axis = turned[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
     way = toward - turned[:3, 3]
     length = float(np.linalg.norm(way))
-    if abs(float(axis @ way)) >= 0.8 * length:
-        return axis * math.copysign(1.0, float(axis @ (toward - behind)))
+    if length < ROUNDING or abs(float(axis @ way)) >= LED * length:
+        return math.copysign(1.0, float(axis @ (toward - behind))) * axis
     own = np.eye(3)[int(np.abs(way).argmax())]
-    return own * math.copysign(1.0, float(own @ way))
+    return math.copysign(1.0, float(own @ way)) * own
 
 
 def _across(x: Array, wanted: Array) -> Array:
     """The unit vector perpendicular to x that is nearest to another, or any."""
     y = wanted - (wanted @ x) * x
-    if np.linalg.norm(y) < 1e-6:
+    if np.linalg.norm(y) < ROUNDING:
         other = np.eye(3)[int(np.abs(x).argmin())]
         y = np.cross(x, other)
     y = y / np.linalg.norm(y)
     best = np.eye(3)[int(np.abs(y).argmax())]
-    return best * np.sign(best @ y) if abs(best @ x) < 1e-6 and abs(best @ y) > ACROSS else y
+    return np.sign(best @ y) * best if abs(best @ x) < ROUNDING and abs(best @ y) > ACROSS else y

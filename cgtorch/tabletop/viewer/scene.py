@@ -39,6 +39,7 @@ DONE, AHEAD, SEEN, GOAL, REFUSED, GRIP = (
 )  # fmt: skip
 OBJECT_RADIUS, LEG_SIDE, OBSTACLE_HEIGHT, CONTACT = Thing().size[0], 0.06, 0.35, 0.02  # m
 FLOOR = 0.006  # m above the floor that lines are drawn
+FINE, USUAL, BOLD, BROAD = 1.5, 3.0, 4.0, 5.0  # pixels, the width of lines
 CROSS = torch.tensor([[[-0.06, 0.0], [0.06, 0.0]], [[0.0, -0.06], [0.0, 0.06]]])  # m
 NOSE = torch.tensor([0.33, 0.0])  # m: the end of the line that shows a heading
 TEMPLATES = templates("cgtorch.tabletop.viewer")
@@ -102,8 +103,8 @@ class Scene:
             anchor="bottom-center", font_screen_scale=1.3,
         )  # fmt: skip
         stops = run.pose[torch.cat([torch.tensor([True]), (run.pose[1:] != run.pose[:-1]).any(1)])]
-        self._lines("stops", self._footprints(stops), AHEAD, FLOOR, 1.5)
-        self._lines("way", _segments(timeline.pose[:, :2]), AHEAD, FLOOR, 3)
+        self._lines("stops", self._footprints(stops), AHEAD, FLOOR, FINE)
+        self._lines("way", _segments(timeline.pose[:, :2]), AHEAD, FLOOR, USUAL)
         self.show(0)
 
     def show(self, frame: int) -> None:
@@ -125,7 +126,7 @@ class Scene:
         if first or not np.array_equal(joints, self.rest[self.columns]):
             self.rest[self.columns] = joints
             self.drawn.update_cfg(self.rest)
-        self._lines("driven", _segments(timeline.pose[: frame + 1, :2]), DONE, 2 * FLOOR, 5)
+        self._lines("driven", _segments(timeline.pose[: frame + 1, :2]), DONE, 2 * FLOOR, BROAD)
         self._perceived(timeline, int(timeline.seen[frame]))
         self._asked(timeline, int(timeline.step[frame]))
 
@@ -161,10 +162,10 @@ class Scene:
         run, top = timeline.execution, float(timeline.execution.scenario.table[0, 5])
         pose, percept = run.pose[seen], run.percept[seen]
         box = rotate(corners(box_rectangle(percept[:BOX])), pose[2]) + pose[:2]
-        self._lines("perceived", torch.stack([box, box.roll(-1, 0)], 1), SEEN, top + FLOOR, 3)
+        self._lines("perceived", torch.stack([box, box.roll(-1, 0)], 1), SEEN, top + FLOOR, USUAL)
         at = rotate(percept[4:6], pose[2]) + pose[:2]
         cross, height = rotate(CROSS, pose[2].expand(2, 2)), float(percept[6]) + 2 * FLOOR
-        self._lines("perceived-object", at + cross, SEEN, height, 4)
+        self._lines("perceived-object", at + cross, SEEN, height, BOLD)
 
     def _asked(self, timeline: Timeline, step: int) -> None:
         """Draw the pose that the message commands, as the outline of the base."""
@@ -175,7 +176,7 @@ class Scene:
         nose = torch.stack([goal[:2], goal[:2] + rotate(NOSE, goal[2])])
         lines = torch.cat([self._footprints(goal[None]), nose[None]])
         refused = (run.steps[step].name, run.steps[step].outcome) == ("MoveBase", "failure")
-        self._lines("asked", lines, REFUSED if refused else GOAL, 3 * FLOOR, 4, visible=there)
+        self._lines("asked", lines, REFUSED if refused else GOAL, 3 * FLOOR, BOLD, visible=there)
 
     def _lines(
         self, name: str, points: Tensor, colour: Colour, z: float, width: float, **how: Any

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.environment import rows_where
-from cgtorch.native import function, structure, suits, threads
+from cgtorch.native import function, structure, suits, threads_worth
 from cgtorch.tabletop.world.geometry import wrap
 from cgtorch.tabletop.world.percepts import parts_of, present
 
@@ -38,7 +38,7 @@ def motion_possible(
         return motion_possible_in_torch(motion, things, footprint, farthest)
     n, body = len(motion), body_structure(footprint, farthest)
     motion, things = motion.contiguous(), things.expand(n, -1, -1).contiguous()
-    free, share = torch.empty(n, dtype=torch.bool), max(1, min(threads(), n // WORTH_SHARING))
+    free, share = torch.empty(n, dtype=torch.bool), threads_worth(n, WORTH_SHARING)
     call(motion, things, body, n, things.shape[1], free, share)
     return free
 

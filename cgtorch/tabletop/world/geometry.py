@@ -36,7 +36,7 @@ def rectangle_in_frame(pose: Tensor, rectangle: Tensor) -> Tensor:
     """Rectangles (..., 5) of the world as seen from poses (..., 3)."""
     centre = to_frame(pose, rectangle[..., :2])
     yaw = wrap(rectangle[..., 2] - pose[..., 2])
-    return torch.cat([centre, yaw[..., None], rectangle[..., 3:5]], -1)
+    return torch.cat([centre, yaw[..., None], rectangle[..., 3:]], -1)
 
 
 def bounding_box(rectangle: Tensor) -> Tensor:
@@ -57,7 +57,7 @@ def box_rectangle(box: Tensor) -> Tensor:
 def corners(rectangle: Tensor) -> Tensor:
     """(..., 4, 2) corners of rectangles (..., 5)."""
     signs = rectangle.new_tensor([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-    offset = signs * rectangle[..., None, 3:5] / 2
+    offset = signs * rectangle[..., None, 3:] / 2
     return rectangle[..., None, :2] + rotate(offset, rectangle[..., None, 2])
 
 

@@ -112,7 +112,7 @@ def side_seen(pose: Tensor, table: Tensor) -> Tensor:
 
 def present(rectangle: Tensor) -> Tensor:
     """(...) bool, whether rectangles (..., 5) are present: they have a size."""
-    return (rectangle[..., 3:5] > 0).all(-1)
+    return (rectangle[..., 3:] > 0).all(-1)
 
 
 def obstacles_seen(pose: Tensor, obstacles: Tensor) -> Tensor:

@@ -32,10 +32,10 @@ def first_motion(percept: Tensor, motion: Tensor, footprint: Tensor) -> Tensor:
     corner = corners(_wider(seen, footprint)).flatten(1, 2)
     there = present(seen).repeat_interleave(4, 1)
     straight = _possible(motion[:, None], seen, footprint)[:, 0]
-    best, total = motion, torch.full_like(motion[:, 0], torch.inf)
-    for turn in (torch.zeros_like(motion[:, 2]), motion[:, 2]):
+    best, total = motion, motion.new_full((len(motion),), torch.inf)
+    for turn in (motion.new_zeros(len(motion)), motion[:, 2]):
         length, first = _shortest(seen, corner, there, motion, turn, footprint)
-        at = corner[torch.arange(len(corner), device=corner.device), first]
+        at = corner.take_along_dim(first[:, None, None], 1)[:, 0]
         shorter = length < total - WORTH_TURNING
         via = torch.cat([at, turn[:, None]], 1)
         best = torch.where(shorter[:, None], via, best)

@@ -199,8 +199,8 @@ def _along_an_edge(sides: Tensor, pick: Tensor, along: Tensor, inset: Tensor) ->
     share = sides[:, 1] / sides.sum(1)  # of the perimeter, that the edges across x have
     across_x = pick < share
     part = torch.where(across_x, pick / share, (pick - share) / (1 - share))
-    sign = torch.where(part < 0.5, -1.0, 1.0)
-    out, length = (half - inset[:, None]) * sign[:, None], (half - CORNER) * along[:, None]
+    out, length = half - inset[:, None], (half - CORNER) * along[:, None]
+    out = torch.where((part < 0.5)[:, None], -out, out)
     x_edge = torch.stack([out[:, 0], length[:, 1]], 1)
     y_edge = torch.stack([length[:, 0], out[:, 1]], 1)
     return torch.where(across_x[:, None], x_edge, y_edge)
@@ -236,7 +236,7 @@ def _obstacles(scenes: Scenarios, generator: Generator) -> Tensor:
 def _in_the_way(obstacle: Tensor, scenes: Scenarios) -> Tensor:
     """(n,) bool, whether boxes (n, 5) overlap the table or are too close to the robot."""
     at = rotate(scenes.pose[:, :2] - obstacle[:, :2], -obstacle[:, 2])
-    gap = (at.abs() - obstacle[:, 3:5] / 2).clamp_min(0).norm(dim=1)
+    gap = (at.abs() - obstacle[:, 3:] / 2).clamp_min(0).norm(dim=1)
     return rectangles_overlap(obstacle, scenes.table[:, :5]) | (gap < ROOM)
 
 

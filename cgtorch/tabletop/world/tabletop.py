@@ -57,7 +57,7 @@ def draw_noise(seed: Tensor, looks: int, *sizes: int) -> list[Tensor]:
     Sizes are drawn in turn, so earlier numbers do not depend on later sizes.
     """
     generator = Generator()
-    out = [torch.zeros(len(seed), looks, size) for size in sizes]
+    out = [torch.empty(len(seed), looks, size) for size in sizes]
     for row, value in enumerate(seed.tolist()):
         generator.manual_seed(value)
         for noise in out:

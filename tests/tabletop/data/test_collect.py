@@ -11,7 +11,19 @@ from torch import Tensor
 
 from cgtorch.ground.environment import Dataset, Lanes
 from cgtorch.ground.errors import DataError, SettingsError
-from cgtorch.tabletop.data import ARENA, Scenes, collect, drive, in_table, poses_around
+from cgtorch.native.processes import listening
+from cgtorch.tabletop.data import (
+    ANYWHERE,
+    ARENA,
+    BESIDE,
+    PROBE,
+    Scenes,
+    collect,
+    drive,
+    grasp_labels,
+    in_table,
+    poses_around,
+)
 from cgtorch.tabletop.world import LAB_NOISE, Noise, Scenarios, TabletopWorld, stage_scenarios
 from cgtorch.tabletop.world.scenarios import TABLE_DEPTH, TABLE_WIDTH
 
@@ -153,6 +165,38 @@ def test_a_robot_that_cannot_learn_to_grasp_is_an_error(arms: Callable[..., Tens
     with pytest.raises(DataError, match=r"a grasp succeeds at .*% of random poses") as caught:
         collect(Scenes(lambda s: TabletopWorld(s, arms, FOOTPRINT)), 50, 300, seeded(7))
     assert "\n" not in str(caught.value)
+
+
+def test_how_many_data_there_are_is_told_as_they_come() -> None:
+    told = list[tuple[str, int, int]]()
+    with listening(lambda *given: told.append(given)):
+        drive(scenes_of(), 40, seeded(0))
+    assert {(what, total) for what, _, total in told} == {("transitions", 40)}
+    done = [each for _, each, _ in told]
+    assert done[0] == 0
+    assert done == sorted(done)
+    assert len(set(done)) > 3
+    assert done[-1] >= 40
+    told.clear()
+    with listening(lambda *given: told.append(given)):
+        grasp_labels(scenes_of(), 100, seeded(0))
+    probes, anywhere, beside = PROBE, int(100 * ANYWHERE), int(100 * BESIDE) // 2
+    every = [0, probes, probes + beside, probes + 2 * beside, probes + 2 * beside + anywhere]
+    assert told == [("labels", done, every[-1]) for done in every]
+
+
+@pytest.mark.parametrize(("thrift", "robots"), [(1, 2 + 20), (4, 2 + 5)])
+def test_who_is_thrifty_drives_fewer_robots_at_once(thrift: int, robots: int) -> None:
+    begun = list[int]()
+
+    def watched(scenarios: Scenarios) -> TabletopWorld:
+        begun.append(len(scenarios))
+        return TabletopWorld(scenarios, graspable, FOOTPRINT, EXACT)
+
+    p, u, q = drive(Scenes(watched, thrift=thrift), 40, seeded(2))
+    assert len(p) == len(u) == len(q) == 40
+    assert next(count for count in begun if count) == robots
+    assert all(count <= robots for count in begun)
 
 
 def equal(one: Dataset, other: Dataset) -> bool:

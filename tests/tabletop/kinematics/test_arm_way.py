@@ -12,8 +12,9 @@ from support import tool_pose
 from test_grasping import random_scene
 from trimesh.transformations import rotation_matrix, translation_matrix
 
-from cgtorch.tabletop.kinematics import arm_ways, graspable, has_posture
-from cgtorch.tabletop.kinematics.clear_ways import MARGIN
+from cgtorch.tabletop.kinematics import arm_way, arm_ways, graspable, has_posture
+from cgtorch.tabletop.kinematics.arm_way import PLANNED
+from cgtorch.tabletop.kinematics.clear_ways import MARGIN, VIAS
 from cgtorch.tabletop.kinematics.grasp_lines import HALF, LINE
 from cgtorch.tabletop.kinematics.grasping import APPROACHES, GRASP_HEIGHT, waypoints
 from cgtorch.tabletop.kinematics.scene import OBJECT_RADIUS
@@ -76,6 +77,10 @@ def test_ways_back_lead_home(robot_and_ways):
         torch.testing.assert_close(back[0], ways.joints[row, int(ways.lifted[row])])
         home = robot.home[int(ways.arm[row])].float()
         torch.testing.assert_close(back[-1], home, atol=1e-6, rtol=0)
+        assert not torch.equal(back[-2], back[-1])
+        assert torch.equal(ways.back[row, len(back) :], back[-1:].expand(VIAS - len(back), -1))
+    assert torch.equal(ways.returns, ways.found & (ways.home_again > 0))
+    assert ways.joints.shape[1] == int(ways.lifted[ways.found].max()) + 1
 
 
 def links_of(robot, arm):
@@ -151,6 +156,8 @@ def test_what_has_a_way_is_graspable_and_has_a_posture(robot_and_ways):
     assert torch.equal(ways.found, graspable(robot, position, table))
     assert bool(has_posture(robot, position, table)[ways.found].all())
     assert 0.3 < ways.found.float().mean() < 0.9
+    if robot.description.name == "PR2":
+        assert (ways.pre_grasp[ways.found] > 1).any()  # some are planned
 
 
 def test_a_way_does_not_depend_on_the_others(robot_and_ways):
@@ -168,6 +175,41 @@ def test_a_way_does_not_depend_on_the_others(robot_and_ways):
             )
 
 
+def test_few_ways_are_planned_to_an_object_from_the_first_grasp_to_the_first_way(pr2, monkeypatch):
+    """If no way is straight, and only some plans lead anywhere."""
+    position, table = random_scene(60, seed=21)
+    asked = list[tuple[int, int, bool]]()
+    look, plan, ways_planned = arm_way.grasps, arm_way._plan_some, arm_way.ways_planned
+
+    def noted(robot, places, key, some, ways):
+        plan(robot, places, key, some, ways)
+        found = (ways.rank[some.row] == some.rank).tolist()
+        asked.extend(zip(some.row.tolist(), some.rank.tolist(), found, strict=True))
+
+    def crooked(*about):
+        found = look(*about)
+        return replace(found, straight=torch.zeros_like(found.straight))
+
+    def rarely(arm, scene, places, kind, ends, key):
+        way, count = ways_planned(arm, scene, places, kind, ends, key)
+        return way, torch.where(key % 3 == 0, count, 0)
+
+    monkeypatch.setattr(arm_way, "grasps", crooked)
+    monkeypatch.setattr(arm_way, "ways_planned", rarely)
+    monkeypatch.setattr(arm_way, "_plan_some", noted)
+    found = graspable(pr2, position, table).tolist()
+    tried = dict[int, list[bool]]()
+    for row in {row for row, *_ in asked}:
+        ranks = [rank for each, rank, _ in asked if each == row]
+        tried[row] = [good for each, _, good in asked if each == row]
+        assert ranks == sorted(set(ranks))
+        assert tried[row][:-1] == [False] * (len(ranks) - 1)
+        assert tried[row][-1] == found[row]
+    assert {row for row in range(60) if found[row]} <= tried.keys()
+    assert {len(done) for done in tried.values() if done[-1]} == {1, 2, PLANNED}
+    assert max(map(len, tried.values())) == PLANNED
+
+
 def test_the_margin_is_small_against_an_object():
     assert 0 < MARGIN < OBJECT_RADIUS / 5
 
@@ -175,4 +217,33 @@ def test_the_margin_is_small_against_an_object():
 def test_no_rows(pr2):
     ways = arm_ways(pr2, torch.zeros(0, 3), torch.zeros(0, 6))
     assert ways.found.shape == (0,)
-    assert ways.joints.shape[0] == 0
+    assert ways.joints.shape == (0, 1, 7)
+
+
+def test_random_numbers_are_those_of_the_seed_which_is_nought_by_default(pr2, monkeypatch):
+    keys, seeds, nothing = arm_way.row_keys, list[int](), (torch.zeros(0, 3), torch.zeros(0, 6))
+
+    def noted(position, table, seed):
+        seeds.append(seed)
+        return keys(position, table, seed)
+
+    monkeypatch.setattr(arm_way, "row_keys", noted)
+    for answer, wanted in (
+        (lambda: arm_ways(pr2, *nothing), {0}), (lambda: arm_ways(pr2, *nothing, 5), {5}),
+        (lambda: graspable(pr2, *nothing), {0}),
+    ):  # fmt: skip
+        seeds.clear()
+        answer()
+        assert {*seeds} == wanted
+
+
+def test_there_is_room_for_the_arm_with_most_joints(pr2):
+    arm = pr2.arms[1]
+    names = "lower", "upper", "continuous", "joint_names"
+    short = replace(arm, **{name: getattr(arm, name)[:6] for name in names})
+    for arms in ((arm, short), (short, arm)):
+        home = tuple(pr2.home[1][: len(each.joint_names)] for each in arms)
+        robot = replace(pr2, arms=arms, home=home)
+        robot.__dict__["scenes"] = pr2.scenes
+        ways = arm_ways(robot, torch.zeros(0, 3), torch.zeros(0, 6))
+        assert ways.joints.shape[2] == ways.back.shape[2] == 7

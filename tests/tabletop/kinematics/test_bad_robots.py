@@ -8,7 +8,7 @@ import pytest
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_description, load_robot, load_urdf, robots_folder
-from cgtorch.tabletop.kinematics.urdf import _line, at_rest
+from cgtorch.tabletop.kinematics.urdf import at_rest, one_line
 
 PR2 = robots_folder() / "pr2"
 TEXT = (PR2 / "pr2.urdf").read_text()
@@ -95,6 +95,9 @@ def test_the_files_are_sound_before_they_are_broken(tmp_path):
         (joined("fixed", '<origin xyz="0 1e300 0"/>'), "origin xyz is '0 1e300 0'"),
         ('<robot><link name="a"><collision><geometry><sphere radius="1e300"/></geometry>'
          "</collision></link></robot>", "sphere radius is '1e300'"),
+        (joined("revolute", LIMIT.format("-1,", 1)), "limit lower is '-1,'"),
+        (joined("revolute", LIMIT.format("-1 0", 1)), "give a finite number, of 2e+308 at most"),
+        (joined("fixed", '<origin xyz="0 0 0 0"/>'), "give three finite numbers, of 1e+06 at most"),
         ("<robot>" + "".join(f'<link name="l{i}"/>' for i in range(501)) + "</robot>",
          "has 501 links"),
         ('<robot><link name="root"/><link name="a"/><link name="b"/>'
@@ -281,6 +284,16 @@ def test_prefixes_that_nothing_declares_and_commas_are_read_as_ros_reads_them(tm
     assert "not well-formed" in fails(load_urdf, robot(tmp_path, text.replace("</robot>", "")))
 
 
+def test_an_axis_may_be_short_but_needs_a_direction(tmp_path):
+    limits = LIMIT.format(-1, 1)
+    urdf = load_urdf(robot(tmp_path, joined("revolute", f'<axis xyz="0 6e-9 -8e-9"/>{limits}')))
+    assert urdf.joint("j").axis.tolist() == pytest.approx([0, 0.6, -0.8])
+    urdf = load_urdf(robot(tmp_path, joined("revolute", f'<axis xyz="1.1e-9 0 0"/>{limits}')))
+    assert urdf.joint("j").axis.tolist() == [1, 0, 0]
+    short = joined("revolute", f'<axis xyz="0 9e-10 0"/>{limits}')
+    assert "has the axis '0 9e-10 0': give it" in fails(load_urdf, robot(tmp_path, short))
+
+
 def test_lines_are_told(tmp_path):
     for text, message in (
         (
@@ -298,8 +311,8 @@ def test_what_says_nothing_is_left_out(tmp_path):
 
 
 def test_an_error_without_words_is_told_by_its_name():
-    assert _line(ValueError("two\n words")) == "two words"
-    assert _line(ValueError()) == "ValueError"
+    assert one_line(ValueError("two\n words")) == "two words"
+    assert one_line(ValueError()) == "ValueError"
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from test_grasping import random_scene
 from cgtorch import native
 from cgtorch.ground.errors import CompilerError, RobotError
 from cgtorch.native import library
-from cgtorch.tabletop.kinematics import arm_ways, graspable, has_posture
+from cgtorch.tabletop.kinematics import arm_ways, clear_ways, graspable, has_posture
 from cgtorch.tabletop.kinematics.arm_way import row_keys
 from cgtorch.tabletop.kinematics.clear_ways import (
     APPROACH,
@@ -155,6 +155,13 @@ def test_a_plan_depends_on_its_key_alone(planned):
     alone = ways_planned(arm, scene, places[row], kind[row], ends[row], key[row])
     assert torch.equal(alone[0], ways[row])
     assert torch.equal(alone[1], count[row])
+
+
+def test_compiled_code_with_room_for_other_ways_is_refused(planned, monkeypatch):
+    arm, scene, places, kind, ends, key, *_ = planned
+    monkeypatch.setattr(clear_ways, "VIAS", VIAS + 1)
+    with pytest.raises(ImportError, match=r"Python has {'MOST_VIAS': 17}"):
+        ways_planned(arm, scene, places, kind, ends, key)
 
 
 def test_no_way_leads_to_a_posture_that_touches(pr2, random_joints):

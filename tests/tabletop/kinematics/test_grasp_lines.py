@@ -8,6 +8,7 @@ from test_grasping import random_scene
 
 from cgtorch import native
 from cgtorch.tabletop.kinematics import grasp_lines
+from cgtorch.tabletop.kinematics.clear_ways import LIFT
 from cgtorch.tabletop.kinematics.grasp_lines import HALF, grasps, grasps_of_any_arm
 from cgtorch.tabletop.kinematics.grasping import APPROACHES, Lines, places_of, waypoints
 
@@ -65,6 +66,26 @@ def test_grasps_do_not_depend_on_threads_or_on_other_lines(question):
     alone = grasps(robot, which, lines[few], places)
     same = few[whole.rank]
     assert all(map(torch.equal, vars(whole[same]).values(), vars(alone).values()))
+
+
+def test_an_object_is_lifted_from_where_it_stands(pr2, monkeypatch):
+    """It has the pose in the tool frame that it has when the tool arrives."""
+    clear, lifted = grasp_lines.ways_clear, 0
+
+    def noted(arm, scene, places, kind, ways):
+        nonlocal lifted
+        if (kind == LIFT).all():
+            tool = arm.frames(ways[:, 0])[-1, :, :3]
+            held = tool[..., :3] @ places.held
+            held[..., 3] += tool[..., 3]
+            torch.testing.assert_close(held, places.object, atol=1e-6, rtol=0)
+            lifted += len(kind)
+        return clear(arm, scene, places, kind, ways)
+
+    monkeypatch.setattr(grasp_lines, "ways_clear", noted)
+    robot, which, lines, places = asked(pr2, 0)
+    grasps_of_any_arm(robot, which, lines[:300], places)
+    assert lifted > 10
 
 
 def test_single_precision_makes_hardly_a_difference(pr2):

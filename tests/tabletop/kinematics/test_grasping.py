@@ -163,6 +163,12 @@ def test_no_rows(pr2):
         (torch.zeros(2, 3), torch.ones(3, 6), r"table has the shape \(3, 6\)"),
         (torch.full((1, 3), math.nan), torch.ones(1, 6), "position has a value that is not finite"),
         (torch.zeros(1, 3), torch.full((1, 6), math.inf), "table has a value that is not finite"),
+        (torch.zeros(1, 3, device="meta"), torch.ones(1, 6), "position is on meta: move it to"),
+        (
+            torch.zeros(1, 3),
+            torch.ones(1, 6, device="meta"),
+            "table is on meta: move it to",
+        ),
     ],
 )
 def test_bad_input(pr2, position, table, message):

@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 from support import tool_pose
 
 from cgtorch.tabletop.kinematics.inverse_kinematics import (
+    POSITION_TOLERANCE,
+    ROTATION_TOLERANCE,
     Heading,
     NumericalArm,
     _branches,
@@ -281,6 +283,23 @@ def test_poses_are_near_whose_places_and_directions_that_count_are():
     level = _without_heading(jacobian, UP)
     assert torch.equal(level[:, :5], jacobian[:, :5])
     assert not level[:, 5].any()
+
+
+def test_an_arm_that_may_turn_its_heading_turns_it_no_further(pr2, random_joints, generator):
+    arm = pr2.arms[0]
+    pose = torch.linalg.inv(arm.mount) @ tool_pose(arm, random_joints(arm, 20, generator))
+    found = []
+    for most in (0.2, 1.0):
+        free = NumericalArm(arm.chain(pose)[0], *arm.turn_limits, Heading(UP.up, most))
+        row, q = numerical_candidates(free, pose)
+        turn = headings(free, q, pose[row]).abs()
+        assert 0.5 * most < float(turn.max()) <= most
+        reached = free.chain.forward_kinematics(q, end_only=True).get_matrix()
+        error = _error(reached, pose[row], UP)
+        assert float(error[:, :3].norm(dim=1).max()) < POSITION_TOLERANCE
+        assert float(error[:, 3:].norm(dim=1).max()) < ROTATION_TOLERANCE
+        found.append(len(row))
+    assert found[1] > 2 * found[0] > 0
 
 
 def test_the_heading_of_an_arm_is_that_of_its_tool(pr2, random_joints, generator):

@@ -9,6 +9,7 @@ import zipfile
 import numpy as np
 import pytest
 import trimesh
+from lxml import etree
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import meshes
@@ -118,6 +119,40 @@ def test_files_and_meshes_that_are_too_large(tmp_path, monkeypatch):
     assert "has 12 triangles: give from 1 to 11" in refused(tmp_path / "a.stl", data)
     monkeypatch.setattr(meshes, "MAX_BYTES", len(data) - 1)
     assert f"larger than {len(data) - 1} bytes" in refused(tmp_path / "a.stl", data)
+
+
+def test_nodes_and_triangles_of_a_dae_are_counted_as_often_as_they_are_shown(monkeypatch):
+    """Two triangles in a node that stands for two, one of which has another in it: in all four."""
+    geometry = '<geometry id="g"><mesh><triangles><p>0 1 2 2 1 0</p></triangles></mesh></geometry>'
+    shown = '<node id="n"><node><instance_geometry url="#g"/></node></node>'
+    text = COLLADA.format(
+        f"<library_geometries>{geometry}</library_geometries><library_nodes>{shown}</library_nodes>"
+        '<library_visual_scenes><visual_scene id="s"><node><instance_node url="#n"/></node>'
+        '<node><instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
+    )
+    root, nodes, faces = etree.fromstring(text), 1 + 4 + 2, 4
+    for most, triangles, refused in ((nodes, 2, False), (nodes - 1, 2, True), (nodes, 1, True)):
+        monkeypatch.setattr(meshes, "MAX_INSTANCES", most)
+        monkeypatch.setattr(meshes, "MAX_TRIANGLES", triangles)
+        if refused:
+            message = f"^it has {nodes} nodes of {faces} triangles: give a mesh of at most {most}"
+            with pytest.raises(RobotError, match=message):
+                meshes._check_instances(root, "it")
+        else:
+            meshes._check_instances(root, "it")
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [("0.01", 0.01), ("1e6", 1e6), ("1000001", None), ("-1", None), ("x", None), ("nan", None)],
+)
+def test_a_unit_is_a_number_above_nought(unit, metres):
+    data = COLLADA.replace("<asset/>", f'<asset><unit meter="{unit}"/></asset>').format("").encode()
+    if metres is None:
+        with pytest.raises(RobotError, match=f"it has the unit '{unit}' m: give a number above 0"):
+            meshes._checked_collada(data, "it")
+    else:
+        assert meshes._checked_collada(data, "it")[1] == metres
 
 
 LARGE = {

@@ -14,12 +14,18 @@ from cgtorch.tabletop.kinematics import shapes
 from cgtorch.tabletop.kinematics.shapes import (
     MAX_FLATNESS,
     ROUNDING,
+    SEARCHED,
     THIN,
     Shape,
     _box,
+    _box_axes,
     _circle,
+    _hull,
+    _outermost,
+    _outermost_flat,
     _right_handed,
     _round,
+    _shape,
     _sides,
     capsule,
     fitted,
@@ -168,7 +174,7 @@ def test_a_box_and_what_is_round_hold_all_corners_and_hardly_more():
     bulge = math.sqrt(radius**2 - (radius - ROUNDING) ** 2)  # of its ends over the corners
     assert round_.sizes == pytest.approx((radius, 4 - 2 * bulge + 2 * ROUNDING), abs=1e-9)
     np.testing.assert_allclose(round_.pose[:3, 3], [1, 2, 3], atol=1e-9)
-    short = _round(CORNERS * [1, 1, 0], np.eye(3))[1]
+    short = _round(np.concatenate([CORNERS * [1, 1, 0], [[1, 2, 0]]]), np.eye(3))[1]
     assert short.kind == "sphere"
     assert short.sizes == pytest.approx((radius,), abs=1e-6)
     turned = np.eye(3)[:, [1, 2, 0]]  # z leads along x
@@ -177,6 +183,87 @@ def test_a_box_and_what_is_round_hold_all_corners_and_hardly_more():
     np.testing.assert_allclose(along.pose[:3, 3], [1, 2, 3], atol=1e-6)
     np.testing.assert_allclose(_circle(np.array([[1.0, 2.0], [3.0, 2.0]])), [2, 2])
     np.testing.assert_allclose(_circle(np.array([[1.0, 2.0]])), [1, 2])
+
+
+@pytest.mark.parametrize("long", [0, 1, 2])
+def test_what_is_round_lies_along_the_longest_side_where_no_cylinder_is_found(long, monkeypatch):
+    monkeypatch.setattr(shapes, "_cylinder_axes", lambda points: None)
+    monkeypatch.setattr(shapes, "_box_axes", lambda points: (np.eye(3), long))
+    points = np.roll(trimesh.creation.capsule(0.3, 0.05, count=(24, 24)).vertices, long - 2, axis=1)
+    found = _shape(points)
+    assert found.kind == "capsule"
+    assert found.sizes == pytest.approx((0.05, 0.3), abs=2e-3)
+    np.testing.assert_allclose(np.abs(found.pose[:3, 2]), np.eye(3)[long])
+    assert np.linalg.det(found.pose[:3, :3]) == pytest.approx(1)
+
+
+def test_of_many_corners_those_are_looked_at_that_are_outermost_in_even_directions():
+    rng = np.random.default_rng(0)
+    drawn = rng.normal(size=(20_000, 3)), rng.normal(size=(3000, 3))
+    ball, ways = (each / np.linalg.norm(each, axis=1)[:, None] for each in drawn)
+    few = _outermost(ball)
+    assert 0.9 * SEARCHED < len(few) <= SEARCHED
+    assert np.arccos((ways @ few.T).max(axis=1)).max() < 0.27  # rad to the next
+    assert _outermost(few) is few
+    circle = ball[:, :2] / np.linalg.norm(ball[:, :2], axis=1)[:, None]
+    few = _outermost_flat(circle)
+    assert len(few) == SEARCHED
+    assert np.arccos((circle[:3000] @ few.T).max(axis=1).clip(max=1)).max() < 0.033
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+@pytest.mark.parametrize("nothing", [None, trimesh.Trimesh()])
+def test_a_cut_has_two_pieces_or_is_none(lost, nothing, monkeypatch):
+    brick = trimesh.creation.box((0.3, 0.2, 0.1))
+    one, other = shapes._cut(brick)
+    assert one.volume + other.volume <= brick.volume + 1e-9
+    left = iter(nothing if k == lost else piece for k, piece in enumerate((one, other)))
+    monkeypatch.setattr(trimesh.Trimesh, "slice_plane", lambda *about: next(left))
+    assert shapes._cut(brick) == []
+
+
+def test_what_is_flat_has_the_hull_of_a_thin_box():
+    corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 1, 0], [2, 1, 0], [1, 0.5, 0]]) + 3
+    found, volume = _hull(corners)
+    thick = 2 / MAX_FLATNESS
+    assert volume == pytest.approx(2 * thick)
+    assert found.shape == (8, 3)
+    np.testing.assert_allclose(found.min(axis=0), [3, 3, 3 - thick / 2])
+    np.testing.assert_allclose(found.max(axis=0), [5, 4, 3 + thick / 2])
+    thin = np.concatenate([corners, corners + np.array([0, 0, THIN / 2])])
+    assert _hull(thin)[1] == pytest.approx(2 * thick)
+    small, volume = _hull(corners[:1])
+    assert volume == pytest.approx(THIN**3)
+    np.testing.assert_allclose(np.ptp(small, axis=0), THIN)
+    cube, volume = _hull(CORNERS)
+    assert (len(cube), volume) == (8, pytest.approx(8.0))
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_part_that_fits_worst_is_cut_first(first, monkeypatch):
+    sides = (0.5, 0.05, 0.05), (0.05, 0.05, 0.5)
+    bars = [trimesh.creation.box(s, translation_matrix(np.array(s) / 2)) for s in sides]
+    corner, brick = trimesh.util.concatenate(bars), trimesh.creation.box((0.3, 0.2, 0.1))
+    brick.apply_translation([3, 0, 0])
+    pieces, asked = [corner, brick][:: 1 - 2 * first], []
+
+    def cut(mesh):
+        asked.append(mesh)
+        return [] if len(asked) > 1 else pieces
+
+    monkeypatch.setattr(shapes, "_cut", cut)
+    fit = fitted(trimesh.util.concatenate(pieces))
+    assert asked[1] is corner
+    assert len(fit.shapes) == 2
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered in divide")  # by no volume
+@pytest.mark.parametrize("long", [0, 1])
+def test_of_what_is_flat_the_longest_side_is_found_as_well(long):
+    points = np.array([[0.0, 0, 0], [3, 0, 0], [0, 1, 0], [3, 1, 0], [1, 0.5, 0]])
+    axes, found = _box_axes(np.roll(points, long, axis=1))
+    np.testing.assert_allclose(np.abs(axes[:, found]), np.eye(3)[long], atol=0.2)
+    assert np.linalg.det(axes) == pytest.approx(1)
 
 
 def test_axes_are_turned_to_be_right_handed():

@@ -1,16 +1,22 @@
 """What compiled code says of machines, Γ, C and motions, against torch."""
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from random_models import first_percepts, random_classifier, random_gamma
+from random_models import first_percepts, random_classifier, random_gamma, random_models
 from support import FOOTPRINT, seeded
 from torch import Tensor
 
-from cgtorch.native import available
+from cgtorch.native import available, constants
+from cgtorch.svm import SVR
 from cgtorch.svm.rbf import machine_structure, machine_values, predict_rbf
-from cgtorch.tabletop.world import clear_motion, motion_possible
+from cgtorch.tabletop.models import compiled_models
+from cgtorch.tabletop.models.success import compiled_machine
+from cgtorch.tabletop.world import ClearMotion, clear_motion, motion_possible
 from cgtorch.tabletop.world.clear_motion import motion_possible_in_torch
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
@@ -50,6 +56,50 @@ def test_values_are_those_of_the_definition(
     assert one is not None
     assert torch.equal(one[0], found[0][-1:])
     assert torch.equal(one[1], found[1][-1:])
+
+
+def test_compiled_models_know_the_base_and_are_none_where_something_else_is_asked() -> None:
+    models = random_models(1, 5, "yaw", 1)
+    found = compiled_models(models)
+    assert found is not None
+    assert (found.name, found.dtype) == ("tabletop", torch.float64)
+    body, footprint = found.structure.body, FOOTPRINT
+    assert (body.bx, body.by) == pytest.approx((0.0, 0.0))
+    assert (body.hx, body.hy) == pytest.approx([footprint[1] + clear_motion.CLEARANCE] * 2)
+    assert body.farthest == clear_motion.MAX_TRANSLATION
+
+    def other(**changed: Any) -> Any:
+        every = {
+            "gamma": models.gamma, "classifier": models.classifier, "possible": models.possible,
+            "percepts": models.percepts, "control_size": 3, **changed,
+        }  # fmt: skip
+        return compiled_models(cast("Any", SimpleNamespace(**every)))
+
+    assert other() is not None
+    gamma, classifier = models.gamma.__self__, models.classifier  # type: ignore[attr-defined]
+    single = ClearMotion(torch.tensor(FOOTPRINT))
+    for name, value in {
+        "gamma": gamma.predict_in_torch, "classifier": classifier.predict_in_torch,
+        "possible": single, "percepts": models.percepts.float(), "control_size": 2,
+    }.items():  # fmt: skip
+        assert other(**{name: value}) is None, name
+    assert other(possible=lambda percept, motion: True) is None
+    assert other(gamma=lambda percept, motion: gamma(percept, motion)) is None
+
+
+def test_a_machine_is_compiled_for_percepts_that_there_is_room_for() -> None:
+    most, machine = (
+        constants("engine_limits", torch.float64)["MOST_PERCEPT"],
+        random_gamma(1).machine,
+    )
+    percepts = torch.zeros(2, most + 1).double()
+    assert compiled_machine(machine, percepts[:, :most]) is not None
+    assert compiled_machine(machine, percepts) is None
+    assert compiled_machine(machine, percepts[:, :7].float()) is None
+    assert compiled_machine(machine, percepts[:, :7], percepts.float()) is None
+    assert compiled_machine(SVR().double(), percepts[:, :7]) is None
+    machine.weights, machine.bias = machine.weights.repeat(1, 2), machine.bias.repeat(2)
+    assert compiled_machine(machine, percepts[:, :7]) is None
 
 
 def test_far_rows_and_rows_that_are_not_numbers() -> None:

@@ -51,6 +51,13 @@ def test_what_is_too_far_for_one_motion_is_approached() -> None:
     assert (torch.atan2(ahead[:, 1], ahead[:, 0]).abs() < 0.3).all()
 
 
+def test_a_seed_gives_the_motions_that_it_always_gave() -> None:
+    """Or data that were collected could not be collected again."""
+    one, other = random_motions(2, seeded(0)).tolist()
+    assert one == pytest.approx([0.113386, -0.986015, -0.215473], abs=1e-5)
+    assert other == pytest.approx([-0.409268, -0.458841, -0.062245], abs=1e-5)
+
+
 def test_random_motions_go_anywhere_and_a_third_turn_little() -> None:
     found = random_motions(6000, seeded(0))
     assert float(found[:, :2].norm(dim=1).max()) <= FARTHEST

@@ -5,10 +5,12 @@ from copy import deepcopy
 import numpy as np
 import pytest
 import torch
+from random_models import first_percepts, random_classifier
 from stand_in import labelled, labels, transitions
 
 from cgtorch.domains.success import calibration, fit_success_classifier
 from cgtorch.ground.errors import DataError
+from cgtorch.native import available
 from cgtorch.svm import fit_reduced_set
 from cgtorch.tabletop.models import GraspClassifier
 
@@ -38,6 +40,25 @@ def test_it_is_right_on_fresh_percepts_and_its_report_says_how_often(fitted):
     assert report.brier == pytest.approx(np.mean((chance - y) ** 2), abs=0.02)
     assert report.calibration_error < 0.04
     assert sum(rows for _, _, rows in report.reliability) == report.rows == 900
+
+
+@pytest.mark.skipif(not available(), reason="there is no C compiler")
+@pytest.mark.parametrize(("percept", "obstacles", "seeds"), [("box", 0, (1, 2)), ("yaw", 1, (1,))])
+def test_c_is_compiled_for_all_features_that_there_are(percept, obstacles, seeds):
+    """Those of a box without the height, with it, and those of a turned table."""
+    percepts = first_percepts(1, 20, percept, obstacles)
+    for seed in seeds:
+        model = random_classifier(seed, percepts)
+        assert model.compiled(percepts) is not None
+        torch.testing.assert_close(model(percepts), model.predict_in_torch(percepts))
+        unknown = deepcopy(model)
+        unknown.mean = unknown.mean[:6]
+        assert unknown.compiled(percepts) is None
+        unknown = deepcopy(model)
+        unknown.machine.platt[1] = torch.nan
+        assert unknown.compiled(percepts) is None
+    other = "yaw" if percept == "box" else "box"
+    assert model.compiled(first_percepts(1, 20, other, 0)) is None
 
 
 def test_gradients_equal_finite_differences():

@@ -1,5 +1,7 @@
 """Γ: the geometry it knows, what it learns, and what it does not."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 import torch
@@ -7,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from stand_in import DEPTH, WIDTH, transitions
 
-from cgtorch.domains.transition import Grid
+from cgtorch.domains.transition import Grid, HeldOut
 from cgtorch.domains.transition_fit import fit_transition_model
 from cgtorch.ground.errors import DataError
 from cgtorch.tabletop.models import TableTransitionModel, geometry
+from cgtorch.tabletop.models.transition import DECISIVE
 
 GRID = Grid([2.0], [2.0, 6.0], [0.1], 400)
 
@@ -85,9 +88,64 @@ def test_what_cannot_be_learnt_is_left_alone():
     p, u, q = transitions(200, 4)
     rng = np.random.default_rng(0)
     p[:, 4:6] = (p[:, [0, 2]] + p[:, [1, 3]]) / 2 + rng.uniform(-0.3, 0.3, (200, 2))  # anywhere
-    model, report = fit_transition_model(TableTransitionModel(), p, u, q, grid=GRID)
+    model, report = fit_transition_model(
+        TableTransitionModel(), p, u, q, dtype=torch.float64, grid=GRID
+    )
     assert report.choice == (None,)
     assert not model.machine.weights.any()
+    rows = _torch((p, u, q), torch.float64)
+    features, tells = model.features(*rows[:2]), model.targets(*rows)[1]
+    assert not model.machine.values(features).any()
+    known = features[tells]
+    assert len(model.machine.centres) == len(known)
+    # Novelty is told by the centres that are left.
+    again = deepcopy(model)
+    again.measure_reach(known)
+    assert float(model.reach) == pytest.approx(float(again.reach))
+
+
+def test_errors_are_those_of_values_that_were_held_out(fitted):
+    """With false ones, turning the box loosely is better."""
+    p, u, q = _torch(transitions(300, 15), torch.float64)
+    target, tells = fitted[0].targets(p, u, q)
+    assert not tells.all()
+
+    def settled(value, learnt=True):
+        model = deepcopy(fitted[0]).double()
+        held = HeldOut(tells, value[tells], target[tells], torch.tensor([learnt]))
+        return *model.settle((p, u, q), held), float(model.trust)
+
+    error, loose, trust = settled(target)
+    assert trust == 1
+    assert (error[:4] < 0.5 * loose[:4]).all()
+    wrong, same, trust = settled(-target)
+    assert trust == 0
+    assert torch.equal(wrong, same)
+    assert torch.equal(same, loose)
+    unknown, nought = settled(target, learnt=False), settled(0 * target, learnt=False)
+    assert torch.equal(unknown[0], nought[0])
+
+
+def test_targets_say_which_of_the_two_yaws_was_right(fitted):
+    model = deepcopy(fitted[0]).double()
+    p, u, q = _torch(transitions(200, 16), torch.float64)
+    scene, parts = model._scene(p, u), geometry.to_parts(q)
+    first, second = geometry.boxes_after(scene.yaws, u, scene.sides).unbind(-2)
+    between = first - second
+    for extents, wanted in (
+        (first, 1), (second, -1), ((first + second) / 2, 0), (first - 0.25 * between, 0.5),
+        (first + between, 1), (second - between, -1),
+    ):  # fmt: skip
+        parts[:, geometry.EXTENTS] = extents
+        target, tells = model.targets(p, u, geometry.from_parts(parts))
+        assert target.shape == (200, 1)
+        torch.testing.assert_close(target[tells], torch.full_like(target[tells], wanted))
+        assert torch.equal(tells, between.norm(dim=1) > DECISIVE)
+    assert 100 < int(tells.sum()) < 200
+    yaw = torch.cat([p, torch.ones(200, 2)], 1), u, torch.cat([q, torch.ones(200, 2)], 1)
+    target, tells = model.targets(*yaw)
+    assert tells.all()
+    assert not target.any()
 
 
 def test_a_round_table_keeps_its_box():
@@ -290,3 +348,20 @@ def test_what_features_are_scaled_by_is_known_as_it_is_stored():
         assert value.dtype == whole.dtype == torch.float64
         assert torch.equal(value, whole.float().double())
         assert not torch.equal(value, whole)
+
+
+def test_features_have_one_scale_and_the_largest_extremes_are_kept():
+    p, u, q = _torch(transitions(60, 14), torch.float64)
+    model = TableTransitionModel()
+    model.standardise(p, u, q, torch.float64)
+    x = model.features(p, u)
+    assert x.mean(0).abs().max() < 1e-9
+    assert float(x.square().mean()) == pytest.approx(1)
+    assert len(model.scale.unique()) == 1
+    torch.testing.assert_close(model.most, model.extremes(p, u).amax(0))
+    wide = geometry.to_parts(torch.cat([p, q]))[:, geometry.EXTENTS]
+    torch.testing.assert_close(model.sides, geometry.table_sides(wide))
+    still = p[:1].expand(9, -1)
+    model.standardise(still, 0 * u[:9], still, torch.float64)
+    assert model.scale.tolist() == [1.0] * 4
+    assert model.most[1:3].tolist() == [1e-3] * 2

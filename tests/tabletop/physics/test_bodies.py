@@ -12,7 +12,8 @@ import numpy
 import pytest
 import torch
 from lxml import etree
-from yourdfpy.urdf import Inertial, Joint, Limit, Link
+from scipy.spatial.transform import Rotation
+from yourdfpy.urdf import Inertial, Joint, Limit, Link, Mimic
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import Robot, load_robot, robots_folder
@@ -33,11 +34,15 @@ from cgtorch.tabletop.physics.bodies import (
     TURN_DAMPING,
     TURN_FORCE,
     RigidBody,
+    _capsule,
     _mass,
+    _motion,
+    _shapes,
     base_servos,
     closed_at,
     gripper_joints,
     limit_of,
+    mimic_of,
     rigid_bodies,
     servos_of,
 )
@@ -232,3 +237,72 @@ def test_the_base_is_moved_by_its_mass_and_turned_by_its_moment() -> None:
     assert turning == (TURN_DAMPING * 54.0, TURN_FORCE * 54.0)
     light = base_servos([moved_by(None, 0.01, 0.1)])[2]
     assert light == (TURN_DAMPING, TURN_FORCE)
+
+
+def placed_at(x: float) -> Any:
+    """A pose that is turned about z by a quarter, at x."""
+    pose = numpy.eye(4)
+    pose[:2, :2], pose[0, 3] = [[0.0, -1.0], [1.0, 0.0]], x
+    return pose
+
+
+@pytest.mark.parametrize("end", [(0.3, 0.0, 0.0), (0.0, 0.0, -0.2), (0.1, 0.2, 0.3)])
+def test_a_capsule_lies_along_z_of_its_own_pose(end: tuple[float, ...]) -> None:
+    row = numpy.array([0.1, 0.0, 0.5, 0.1 + end[0], end[1], 0.5 + end[2], 0.05])
+    found = _capsule("link", row, placed_at(2.0))
+    length = math.hypot(*end)
+    assert (found.link, found.kind) == ("link", "capsule")
+    assert found.size == pytest.approx((0.05, length / 2))
+    turn = found.pose[:3, :3]
+    assert turn @ turn.T == pytest.approx(numpy.eye(3))
+    assert numpy.linalg.det(turn) == pytest.approx(1)
+    assert turn[:, 2] * length == pytest.approx([-end[1], end[0], end[2]])
+    middle = [0.1 + end[0] / 2, end[1] / 2, 0.5 + end[2] / 2]
+    assert found.pose[:3, 3] == pytest.approx([2 - middle[1], middle[0], middle[2]])
+
+
+def test_a_capsule_without_length_is_a_sphere() -> None:
+    found = _capsule("link", numpy.array([0.1, 0, 0, 0.1, 0, 0, 0.05]), placed_at(2.0))
+    assert (found.kind, found.size) == ("sphere", (0.05,))
+    assert found.pose[:3, 3].tolist() == pytest.approx([2.0, 0.1, 0.0])
+
+
+def test_shapes_have_half_sizes_and_those_without_size_are_left_out() -> None:
+    def shape(**kinds: object) -> Any:
+        every = {"sphere": None, "cylinder": None, "box": None, **kinds}
+        return SimpleNamespace(origin=placed_at(1.0), geometry=SimpleNamespace(**every))
+
+    link = SimpleNamespace(name="link", collisions=[
+        shape(sphere=SimpleNamespace(radius=0.3)), shape(box=SimpleNamespace(size=(0.2, 0.4, 0.6))),
+        shape(cylinder=SimpleNamespace(radius=0.1, length=0.6)), shape(),
+        shape(sphere=SimpleNamespace(radius=0.0)), shape(box=SimpleNamespace(size=(0.2, 0.0, 0.6))),
+    ])  # fmt: skip
+    robot: Any = SimpleNamespace(description=SimpleNamespace(capsules={}))
+    found = _shapes(robot, link, placed_at(2.0))
+    assert [(each.kind, each.size) for each in found] == [
+        ("sphere", (0.3,)), ("box", (0.1, 0.2, 0.3)), ("cylinder", (0.1, 0.3))
+    ]  # fmt: skip
+    for each in found:
+        assert each.pose == pytest.approx(placed_at(2.0) @ placed_at(1.0))
+    robot.description.capsules = {"link": [(0, 0, 0, 0, 0, 1, 0.1), (0, 0, 0, 0, 0, 0, 0.2)]}
+    kinds = [each.kind for each in _shapes(robot, link, placed_at(2.0))]
+    assert kinds == ["capsule", "sphere"]
+
+
+def test_a_joint_that_is_held_moves_what_it_carries() -> None:
+    follower = Mimic(joint="leader", multiplier=-2.0, offset=0.5)
+    axis = numpy.array([0.6, 0.0, 0.8])
+    held = {"own": 0.7, "leader": 0.3}
+    for kind, mimic, value in (
+        ("revolute", None, 0.7), ("continuous", None, 0.7), ("revolute", follower, -0.1),
+        ("prismatic", None, 0.7), ("fixed", None, 0.0),
+    ):  # fmt: skip
+        found = _motion(Joint("own", type=kind, axis=axis, mimic=mimic), held)
+        wanted = numpy.eye(4)
+        if kind == "prismatic":
+            wanted[:3, 3] = value * axis
+        else:
+            wanted[:3, :3] = Rotation.from_rotvec(value * axis).as_matrix()
+        assert found == pytest.approx(wanted)
+    assert _motion(Joint("other", type="prismatic", axis=axis), held) == pytest.approx(numpy.eye(4))
+    assert mimic_of(Joint("a", mimic=Mimic(joint="b", multiplier=None, offset=None))) == (0.0, 1.0)

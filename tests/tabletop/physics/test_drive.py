@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from cgtorch.tabletop.physics import Physics
 from cgtorch.tabletop.physics.drive import (
+    REST,
     SPEED,
     STEPS,
     TURN_SPEED,
@@ -18,7 +19,7 @@ from cgtorch.tabletop.physics.drive import (
     ramp,
 )
 from cgtorch.tabletop.physics.model import TIMESTEP, Model
-from cgtorch.tabletop.physics.scene import Scene
+from cgtorch.tabletop.physics.scene import Scene, in_contact
 
 STANDING, LYING = [-0.3, 0.0, 0.79, 1, 0, 0, 0], [-1.0, 0.0, 0.05, 1, 0, 0, 0]
 
@@ -76,7 +77,18 @@ def test_the_base_comes_to_within_millimetres(physics: Physics, goal: list[float
 
 def test_the_base_stops_at_what_it_touches(physics: Physics) -> None:
     """It stops at the table, and pushes what lies on the floor."""
-    at_table = drive(physics.model(None, 0), scene(STANDING), numpy.array([-0.2, 0.0, 0.0]))
+    seen = list[tuple[bool, bool]]()
+
+    def watch(model: Model) -> None:
+        seen.append((in_contact(model, model.bumping), bool(model.data.ctrl[:3].any())))
+
+    at_table = drive(physics.model(None, 0), scene(STANDING), numpy.array([-0.2, 0.0, 0.0]), watch)
+    first = seen.index((True, True))
+    assert first > 10
+    assert all(commanded for _, commanded in seen[:first])
+    after = seen[first + 1 :]
+    assert len(after) == round(REST / (STEPS * TIMESTEP))
+    assert not any(commanded for _, commanded in after)
     assert at_table[10] == 0
     assert at_table[0] < -0.4 - 0.334 + 0.02
     pushed = drive(physics.model(None, 0), scene(LYING), numpy.array([-0.9, 0.0, 0.0]))

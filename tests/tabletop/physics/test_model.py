@@ -1,5 +1,7 @@
 """The compiled model: what is in it, what collides with what, and what moves each joint."""
 
+import math
+
 import mujoco
 import numpy as np
 import pytest
@@ -16,7 +18,9 @@ from cgtorch.tabletop.physics.bodies import (
     servos_of,
 )
 from cgtorch.tabletop.physics.model import (
+    AMBIENT,
     BASE,
+    DIFFUSE,
     FLOOR,
     IMPRATIO,
     NEIGHBOURS,
@@ -74,6 +78,28 @@ def test_the_floor_stops_the_object_alone(model: Model) -> None:
     floor = model.model.geom("floor")
     assert floor.type == mujoco.mjtGeom.mjGEOM_PLANE
     assert (floor.contype, floor.conaffinity) == (FLOOR, 0)
+    assert floor.size[:2].tolist() == [0, 0]  # it has no end
+    assert floor.size[2] > 0
+
+
+def test_a_scene_is_lit_from_above_without_shadows_and_its_parts_have_colours(model: Model) -> None:
+    m = model.model
+    assert m.light_pos.tolist() == [[0, 0, 4]]
+    assert m.light_dir.tolist() == [[0, 0, -1]]
+    assert not m.light_castshadow.any()
+    assert m.vis.headlight.ambient.tolist() == pytest.approx(AMBIENT)
+    assert m.vis.headlight.diffuse.tolist() == pytest.approx(DIFFUSE)
+    robot = m.geom_rgba[m.body_gravcomp[m.geom_bodyid] == 1]
+    assert (robot == robot[0]).all()
+    slab, block, box, other, floor, thing = (
+        m.geom(name).rgba.tolist()
+        for name in ("slab", "block", "obstacle 0", "obstacle 1", "floor", "object")
+    )
+    assert slab == block
+    assert box == other
+    colours = {tuple(each) for each in (robot[0].tolist(), slab, box, floor, thing)}
+    assert len(colours) == 5
+    assert (m.geom_rgba[:, 3] == 1).all()
 
 
 def test_shapes_of_the_robot_collide_and_weigh_nothing_themselves(
@@ -131,7 +157,9 @@ def test_joints_begin_at_home_and_are_moved_by_their_servos(model: Model, robot:
         assert actuator.forcerange.tolist() == [-servo.force, servo.force]
         assert actuator.gainprm[0] == servo.stiffness == -actuator.biasprm[1]
         assert joint.lag == pytest.approx(actuator.biasprm[2] / actuator.biasprm[1])
-        assert 0 < joint.lag < 1
+        mass = m.dof_M0[m.joint(joint.name).dofadr[0]]
+        critical = 2 * math.sqrt(servo.stiffness * mass)  # so that it does not swing
+        assert joint.lag == pytest.approx(critical / servo.stiffness)
         assert joint.speed == servo.speed
         assert m.joint(joint.name).damping[0] >= 0
         assert m.dof_armature[m.joint(joint.name).dofadr[0]] == servo.armature
@@ -151,6 +179,7 @@ def test_fingers_follow_others_as_the_urdf_says(model: Model, robot: Robot) -> N
         assert m.eq_type[number] == mujoco.mjtEq.mjEQ_JOINT
         assert m.eq_obj1id[number] == m.joint(joint.name).id
         assert m.eq_obj2id[number] == m.joint(joint.mimic.joint).id
+        assert m.eq_solref[number].tolist() == [0.01, 1.0]  # s, and without swinging
         offset, factor = mimic_of(joint)
         assert m.eq_data[number, :5].tolist() == [offset, factor, 0, 0, 0]
         at = robot.description.held.get(joint.mimic.joint, 0.0)

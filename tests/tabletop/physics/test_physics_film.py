@@ -8,8 +8,18 @@ import numpy
 import pytest
 import torch
 
+from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.physics import Physics, film
-from cgtorch.tabletop.physics.film import BEHIND, DISTANCE, DOWN, EVERY, Camera
+from cgtorch.tabletop.physics.film import (
+    BEHIND,
+    CONTACT,
+    DISTANCE,
+    DOWN,
+    EVERY,
+    LASTS,
+    Camera,
+    film_of,
+)
 from cgtorch.tabletop.world import Scenarios, stage_scenarios
 
 
@@ -47,7 +57,10 @@ class Renderer:
     """Draws the time, instead of a picture, for which a machine may have no library."""
 
     def __init__(self, model: Any, width: int) -> None:
-        self.width = width
+        self.width, self.closed = width, False
+
+    def close(self) -> None:
+        self.closed = True
 
     def update_scene(self, data: Any, view: Any, shown: Any) -> None:
         self.seen = data.time
@@ -73,3 +86,37 @@ def test_pictures_are_taken_at_equal_times_and_belong_to_acts(
     assert {picture[1] for picture in camera.pictures} == {64}
     assert camera.acts == [0, 0, 0, 1, 1]
     assert len(camera.renderers) == 1
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_film_is_of_all_that_moves_and_its_renderers_are_closed(
+    moves: bool, monkeypatch: pytest.MonkeyPatch, physics: Physics
+) -> None:
+    made, model = list[Renderer](), physics.model(0, 0)
+
+    def renderer(model: Any, width: int) -> Renderer:
+        made.append(Renderer(model, width))
+        return made[-1]
+
+    def execute(skill: Any, world: Any, ended: Any) -> Any:
+        assert (world.robot, world.models) == (physics.robot, {})  # of its own, to be watched
+        for step in range(3 * moves):
+            data = SimpleNamespace(time=step * EVERY + 1e-6)
+            world.watch(SimpleNamespace(model=model.model, data=data))
+            ended()
+        return SimpleNamespace(end="timeout")
+
+    monkeypatch.setattr(film, "renderer", renderer)
+    monkeypatch.setattr(film, "execute", execute)
+    skill: Any = SimpleNamespace(name="still")
+    about: Any = skill, physics, lambda watched, scenario: watched, stage_scenarios("near", 1), 32
+    if not moves:
+        with pytest.raises(SettingsError, match="skill 'still' moves nothing on this scenario"):
+            film_of(*about)
+        return
+    found = film_of(*about)
+    assert [width for _, width in found.frames] == [32] * 3
+    assert (found.lasts, found.end, found.acts) == (LASTS, "timeout", [0, 1, 2])
+    assert [each.closed for each in made] == [True]
+    scale, size = model.model.vis.scale, CONTACT / model.model.stat.meansize
+    assert (scale.contactwidth, scale.contactheight) == pytest.approx((size, size / 4))

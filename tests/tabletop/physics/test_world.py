@@ -14,6 +14,7 @@ from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import Robot
 from cgtorch.tabletop.physics import MujocoWorld, Physics, model
 from cgtorch.tabletop.physics import world as physics_world
+from cgtorch.tabletop.physics.world import WORTH_SHARING
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.tabletop.world import Scenarios, TabletopWorld, draw_of, stage_scenarios
 
@@ -101,9 +102,18 @@ def test_how_many_questions_are_answered_is_told(robot: Robot) -> None:
     with listening(lambda *given: told.append(given)):
         for _ in range(2):
             world.step(lanes, torch.tensor([[0.2, 0.0, 0.0]]).expand(8, 3))
-    assert told[0] == ("motions in physics", 0, 8)
-    assert [done for _, done, _ in told] == sorted({done for _, done, _ in told})
-    assert told[-1] == ("motions in physics", 8, 8)
+    assert told == [("motions in physics", done, 8) for done in (0, 2, 4, 6, 8)]
+
+
+def test_models_that_processes_may_need_are_made_before_them(robot: Robot) -> None:
+    """Of all arms, where there is enough to share."""
+    for count, made in ((WORTH_SHARING - 1, {(None, 0)}), (WORTH_SHARING, {(None, 0), (0, 0)})):
+        alone = replace(robot, arms=robot.arms[:1], home=robot.home[:1])
+        physics = Physics(alone)
+        world = MujocoWorld(stage_scenarios("near", count), physics)
+        lanes = start_lanes(world, torch.arange(count), 3, 0)
+        world.step(lanes, torch.tensor([[0.05, 0.0, 0.0]]).expand(count, 3))
+        assert physics.models.keys() == made
 
 
 def test_a_refused_motion_leaves_a_lane_as_it_is(physics: Physics) -> None:

@@ -9,8 +9,9 @@ from small_urdfs import LIMIT, box, chain, joint, link, urdf_of
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
-from cgtorch.tabletop.robot_folder.base import _unused, add_frame, rest_positions
+from cgtorch.tabletop.robot_folder.base import _height, _unused, add_frame, rest_positions
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
+from cgtorch.tabletop.robot_folder.structure import Structure
 
 BASE = link("base", box("0.2 0.1 0.4", "0 0 0.2"))
 
@@ -33,6 +34,15 @@ def test_x_leads_to_where_an_arm_reaches(tmp_path, way, degrees):
     assert found.words.footprint == pytest.approx(sides)
 
 
+def test_an_arm_that_reaches_all_round_says_nothing_of_where_x_leads(tmp_path):
+    arm = chain("arm", 6, "base", "0 -0.1 0", "0 0 0.4")
+    round_ = arm.replace('"arm0_joint" type="revolute"', '"arm0_joint" type="continuous"')
+    assert round_ != arm
+    found = proposed(tmp_path, BASE, round_)
+    assert found.words.base_frame == "base"
+    assert not any("degrees away" in note for note in found.notes)
+
+
 def test_an_arm_that_hangs_low_does_not_lower_the_floor(tmp_path):
     found = proposed(tmp_path, BASE, chain("arm", 6, "base", "0.02 0 -0.1", "0.15 0 0.4"))
     assert found.words.base_frame == "base"
@@ -51,6 +61,39 @@ def test_a_stand_lifts_the_robot_and_is_part_of_its_body(tmp_path):
     assert {"stand", "base"} <= set(words.body)
     with pytest.raises(RobotError, match="a stand needs a base frame of its own, not 'base'"):
         proposed(tmp_path, BASE, arm, stand=0.5, base_frame="base")
+
+
+def test_a_stand_of_a_base_without_a_body_is_ten_centimetres_wide(tmp_path):
+    arm = chain("arm", 6, "base", "0.1 0 0", "0 0 0.4")
+    found = proposed(tmp_path, link("base", ""), arm, stand=0.5)
+    model, words = found.urdf.model, found.words
+    box = model.link_map["stand"].collisions[0].geometry.box
+    np.testing.assert_allclose(box.size, [0.1, 0.1, 0.5])
+    at = model.get_transform("stand", words.base_frame)[:3, 3]
+    np.testing.assert_allclose(at, [0, 0, 0.25], atol=1e-9)
+
+
+def test_the_floor_is_at_the_lowest_point_of_all_but_the_arms(tmp_path):
+    """Or of these if nothing else collides, or at a footprint if there is one."""
+
+    def height(*parts, of=()):
+        urdf = load_urdf(urdf_of(tmp_path, *parts))
+        structure, notes = Structure(urdf, "base"), []
+        return _height(structure, [[urdf.joint(f"{name}_joint")] for name in of], notes), notes
+
+    high, low = link("base", box("0.2 0.2 0.2", "0 0 0.4")), chain("arm", 1, "base", "0 0 -0.5")
+    assert height(high, low) == (pytest.approx(0.525), [])
+    assert height(high, low, of=["arm0"]) == (pytest.approx(-0.3), [])
+    assert height(link("base", ""), low, of=["arm0"]) == (pytest.approx(0.525), [])
+    assert height(link("base", box("0.2 0.2 0.2", "0 0 0.119"))) == (0.0, [])
+    assert height(link("base", box("0.2 0.2 0.2", "0 0 0.121"))) == (pytest.approx(-0.021), [])
+    foot = link("my_footprint", "") + joint(
+        "my_footprint", "base", "0 0 -0.3", kind="fixed", more=""
+    )
+    assert height(high, low, foot) == (pytest.approx(0.3), [])
+    found, (note,) = height(link("base", ""))
+    assert found == 0.0
+    assert note == "nothing collides, so that 'base' is taken to be on the floor"
 
 
 def test_a_frame_is_added_below_a_link_or_above_it_under_a_free_name():

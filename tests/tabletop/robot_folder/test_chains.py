@@ -1,11 +1,28 @@
 """Which chains are arms: by where they begin and what they end in, not by height and joints."""
 
+import math
+from types import SimpleNamespace
+
 import pytest
 from small_urdfs import LIMIT, box, chain, fingers, joint, link, urdf_of
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
-from cgtorch.tabletop.robot_folder.chains import BRANCH, CLOSE, HEAD, LEG, SHORT, chains_of
+from cgtorch.tabletop.robot_folder.chains import (
+    BRANCH,
+    CLOSE,
+    HEAD,
+    LEG,
+    SHORT,
+    _depth,
+    _extent,
+    _freedom,
+    _is_finger,
+    _lowest,
+    _reach,
+    _within,
+    chains_of,
+)
 from cgtorch.tabletop.robot_folder.make import make_robot_folder
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 from cgtorch.tabletop.robot_folder.structure import Structure
@@ -63,6 +80,8 @@ def test_legs_hang_where_arms_have_a_torso_or_reach_the_floor(tmp_path):
     assert arms(structure_of(tmp_path, PELVIS, chain("a", 6, "base", DOWN, "0 0 -0.2"))) == {
         "a5": 6
     }
+    one = chain("b", 6, "base", "0.1 0 0", SIDES[0]), chain("a", 6, "base", DOWN, HIPS[1])
+    assert arms(structure_of(tmp_path, PELVIS, *one)) == {"b5": 6, "a5": 6}  # it cannot stand
     stand = (chain(f"a{i}_", 6, "base", "0.1 0 -0.01", side) for i, side in enumerate(SIDES))
     low = link("base", box("0.3 0.3 0.05", "0 0 0.1"))
     assert len(arms(structure_of(tmp_path, low, *stand))) == 2  # which lead to the side
@@ -144,6 +163,65 @@ def test_fingers_of_many_joints_are_no_arms(tmp_path):
     assert arms(structure) == {"arm5": 6}
 
 
+def test_what_hangs_from_a_joint_is_as_deep_and_as_far_as_its_longest_part(tmp_path):
+    """Joints that follow others do not count, nor do fixed ones."""
+    follows = f'<mimic joint="a_joint"/>{LIMIT}'
+    parts = (
+        link("a"), joint("a", "base"), link("b"), joint("b", "a", "0 0 0.2"), link("c"),
+        joint("c", "b", "0 0.3 0"), link("d"), joint("d", "a", "0.1 0 0"), link("e"),
+        joint("e", "d", more=follows), link("f"), joint("f", "c", kind="fixed", more=""),
+    )  # fmt: skip
+    structure = structure_of(tmp_path, BASE, *parts)
+    above = structure.above
+    assert [_depth(structure, above[name]) for name in "abcde"] == [3, 2, 1, 1, 0]
+    half = 0.025
+    farthest = math.sqrt(half**2 + (0.3 + half) ** 2 + (0.2 + 0.1 + half) ** 2)
+    assert _extent(structure, "a") == pytest.approx(farthest)
+    assert _extent(structure, "e") == pytest.approx(half * math.sqrt(3))
+    assert _lowest(structure, ["a", "d"]) == pytest.approx(0.1 - half)
+    assert _lowest(structure, []) == math.inf
+    own = [above[name] for name in "abc"]
+    chain = SimpleNamespace(own=own, link="c")
+    assert _reach(structure, chain) == pytest.approx(0.2 + 0.3 + _extent(structure, "c"))
+
+
+@pytest.mark.parametrize(
+    ("joints", "far", "finger"),
+    [
+        (1, 0.3, True), (4, 0.3, True), (4, 0.301, False), (5, 0.3, False), (5, 0.2, True),
+        (9, 0.2, True), (9, 0.201, False), (10, 0.2, False), (10, 0.1, False),
+    ],
+)  # fmt: skip
+def test_a_finger_is_short_and_has_few_joints(tmp_path, joints, far, finger):
+    parts = [
+        link(f"f{i}", "") + joint(f"f{i}", f"f{i - 1}" if i else "base", "0 0 0")
+        for i in range(joints)
+    ]
+    tip = link("tip", "") + joint("tip", f"f{joints - 1}", f"0 0 {far}", kind="fixed", more="")
+    structure = structure_of(tmp_path, BASE, *parts, tip)
+    assert _is_finger(structure, structure.above["f0"]) == finger
+
+
+def test_a_joint_is_within_its_range_or_a_turn(tmp_path):
+    limit = SimpleNamespace(lower=-1.0, upper=3.0)
+    assert _within(SimpleNamespace(type="revolute", limit=limit), 0.25) == 0.0
+    assert _within(SimpleNamespace(type="continuous"), 0.25) == pytest.approx(math.pi / 2)
+
+
+def test_what_joints_can_move_is_counted_where_they_are_not_in_one_line(tmp_path):
+    """And afterwards they are where they were."""
+    slides = "".join(
+        link(f"s{i}") + joint(f"s{i}", f"s{i - 1}" if i else "base", "0 0 0.1", axis, "prismatic")
+        for i, axis in enumerate(("1 0 0", "1 0 0", "0 1 0"))
+    )
+    structure = structure_of(tmp_path, BASE, slides, chain("arm", 3, "s2"))
+    structure.urdf.model.update_cfg({"s0_joint": 0.25})
+    before = structure.pose("arm2")
+    path = structure.path("arm2")
+    assert [_freedom(structure, path[:k]) for k in range(1, 7)] == [1, 1, 2, 3, 4, 5]
+    assert (structure.pose("arm2") == before).all()
+
+
 def test_slides_of_a_virtual_base_belong_to_no_arm(tmp_path):
     drive = (
         link("odom", ""), link("x", ""), link("y", ""),
@@ -167,6 +245,10 @@ def test_a_telescope_needs_the_lift_below_it(tmp_path):
     )
     wrist = link("yaw") + joint("yaw", "l3") + fingers("hand", "yaw")
     assert arms(structure_of(tmp_path, BASE, lift, draws, wrist)) == {"yaw": 6}
+    two = draws.partition(link("l2"))[0]
+    for joints, own in ((3, 6), (4, 6)):  # of which two draw out as one
+        wrist = chain("wrist", joints, "l1", "0.1 0 0") + fingers("hand", f"wrist{joints - 1}")
+        assert arms(structure_of(tmp_path, BASE, lift, two, wrist)) == {f"wrist{joints - 1}": own}
     wrist = chain("wrist", 6, "lift", "0.1 0 0") + fingers("hand", "wrist5")
     assert arms(structure_of(tmp_path, BASE, lift, wrist)) == {"wrist5": 6}
 

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mesh_robot
@@ -13,7 +14,9 @@ from matplotlib.colors import to_hex
 from cgtorch.ground.errors import RobotError, RunError
 from cgtorch.tabletop.domain import Tabletop
 from cgtorch.tabletop.kinematics import graspable, load_robot, load_urdf
-from cgtorch.tabletop.kinematics.description import Arm
+from cgtorch.tabletop.kinematics.description import Arm, RobotDescription
+from cgtorch.tabletop.kinematics.fitted import MeshFit
+from cgtorch.tabletop.kinematics.shapes import Fit, Shape
 from cgtorch.tabletop.kinematics.urdf import inertial_problem
 from cgtorch.tabletop.robot_folder import make
 from cgtorch.tabletop.robot_folder.make import (
@@ -192,6 +195,41 @@ def test_corners_are_those_of_meshes_of_links_that_collide_as_nothing_else():
     corners = make._corners(urdf, meshes)
     assert corners.keys() == {"one"}
     assert [each.tolist() for each in corners["one"]] == [[[8, 21, 33]]] * 2
+
+
+def test_shapes_are_recorded_in_their_links_frames_with_volumes():
+    pose, own = np.eye(4), np.eye(4)
+    pose[:3, :3], own[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [1, 2, 3]
+    shapes = Shape("box", own, (1.0, 2.0, 3.0)), Shape("box", own, (1.0, 1.0, 2.0))
+    fit = Fit(shapes, np.zeros((8, 3)), 4.0)
+    found = make._record(MeshFit("hand", "a.stl", "collision", pose, fit))
+    assert {key: value for key, value in found.items() if key != "shapes"} == {
+        "link": "hand", "file": "a.stl", "kind": "collision", "volume": 8.0,
+        "convex_hull_volume": 4.0, "ratio": 2.0,
+    }  # fmt: skip
+    first, other = found["shapes"]
+    assert (first["kind"], first["sizes"], other["sizes"]) == ("box", [1, 2, 3], [1, 1, 2])
+    assert [row[3] for row in first["pose"]] == [-2, 1, 3, 1]
+    lost = MeshFit("hand", "a.stl", "visual", pose, None, "it is missing")
+    assert make._record(lost) == {
+        "link": "hand", "file": "a.stl", "kind": "visual", "problem": "it is missing"
+    }  # fmt: skip
+
+
+def test_a_description_is_written_without_empty_parts_that_may_be_left_out():
+    arm = Arm("a", "base", "tip")
+    plain = RobotDescription("x", "base", (-1.0, 1.0, -1.0, 1.0), (arm,), None, None)
+    assert make._as_json(plain) == {
+        "name": "x", "base_frame": "base", "footprint": (-1.0, 1.0, -1.0, 1.0),
+        "arms": [{"name": "a", "base_link": "base", "tool_frame": "tip"}], "torso_joint": None,
+        "torso_position": None, "body": (), "excludes": (),
+    }  # fmt: skip
+    full = replace(plain, home={"j": 0.0}, gripper_joints={"f": 0.1}, body=("base",))
+    found = make._as_json(full)
+    assert (found["home"], found["gripper_joints"], found["body"]) == (
+        {"j": 0.0}, {"f": 0.1}, ("base",)
+    )  # fmt: skip
+    assert "gains" not in found
 
 
 def test_what_an_srdf_says_yields_to_wishes():

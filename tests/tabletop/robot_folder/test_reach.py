@@ -11,9 +11,11 @@ from typing import Any
 import mesh_robot
 import pytest
 import torch
+from small_urdfs import LIMIT, box, joint, link, urdf_of
 from torch import Tensor
 
-from cgtorch.tabletop.kinematics import Robot, graspable, load_robot
+from cgtorch.tabletop.kinematics import Robot, graspable, load_robot, load_urdf
+from cgtorch.tabletop.kinematics.description import Arm
 from cgtorch.tabletop.robot_folder import reach
 from cgtorch.tabletop.robot_folder.make import make_robot_folder
 from cgtorch.tabletop.robot_folder.reach import (
@@ -22,9 +24,12 @@ from cgtorch.tabletop.robot_folder.reach import (
     DEPTHS,
     HEIGHT,
     OTHERS,
+    SIDEWAYS,
+    TURNED,
     _better,
     _better_height,
     _hindered,
+    _lacking,
     _objects,
     reached,
 )
@@ -135,6 +140,39 @@ def test_where_no_height_helps_it_is_told_what_hinders_at_the_one_of_the_shoulde
     assert counts is not None, found.why
     posed, clear, follows = map(int, counts.groups())
     assert 225 >= posed >= clear >= follows > 0
+
+
+@pytest.mark.parametrize(("slide", "drawn"), [((-0.1, 0.4), 0.4), ((-0.6, 0.4), 0.6)])
+@pytest.mark.parametrize("turn", [0, 59, 61, -61, 120])
+@pytest.mark.parametrize("aside", [0.0, 0.6])
+def test_an_arm_is_as_long_as_its_links_and_what_it_draws_out(
+    slide: tuple[float, float], drawn: float, turn: float, aside: float, tmp_path: Path
+) -> None:
+    """A lift that belongs to it does not count, as it moves its shoulder alone."""
+    limit = LIMIT.replace('"-1"', f'"{slide[0]}"').replace('"1"', f'"{slide[1]}"', 1)
+    x, y = 0.3 * math.cos(math.radians(turn)), 0.3 * math.sin(math.radians(turn))
+    parts = (
+        link("base", box("0.4 0.4 0.8", "0 0 0.4")), link("lift"),
+        joint("lift", "base", "0 0 1", kind="prismatic"), link("pan"),
+        joint("pan", "lift", f"{x} {y} {aside}"), link("drawn"),
+        joint("drawn", "pan", "0 0 0", "1 0 0", "prismatic", limit), link("tool", ""),
+        joint("tool", "drawn", "0 0 0.1", kind="fixed", more=""),
+    )  # fmt: skip
+    robot: Any = SimpleNamespace(
+        urdf=load_urdf(urdf_of(tmp_path, *parts)),
+        description=SimpleNamespace(
+            base_frame="base", footprint=(-0.2, 0.2, -0.2, 0.2), arms=[Arm("a", "base", "tool")]
+        ),
+    )
+    far, about, shoulder = _lacking(robot, 0)
+    length = math.hypot(0.3, aside) + 0.1 + drawn
+    near = math.hypot(0.2 + AHEAD + DEPTHS[0], 1 - HEIGHT)
+    assert shoulder == pytest.approx(1.0)
+    assert far == pytest.approx(max(near - length, 0.0))
+    said = f"arm 'a' is {length:.2f} m long from its shoulder, 1.00 m high"
+    if SIDEWAYS * length < 0.3 and abs(turn) > TURNED:
+        said += f", and at rest it points {turn} degrees away from x"
+    assert about == said + (f", and the nearest object {near:.2f} m away from that" * bool(far))
 
 
 ROBOT: Any = SimpleNamespace(

@@ -1,23 +1,28 @@
 """The parts of a robot: which links move together, what is seen of them, and how hands open."""
 
+import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from small_urdfs import LIMIT, box, chain, joint, link, urdf_of
+from small_urdfs import LIMIT, box, chain, fingers, joint, link, urdf_of
 
 from cgtorch.tabletop.kinematics import load_urdf
 from cgtorch.tabletop.robot_folder.structure import (
+    BEYOND_END,
+    FROM_TIP,
     JAW_OPEN,
     MOST_TRIED,
     STEPS,
     Structure,
     _across,
+    _approach,
     _opening,
     _outline,
     open_fingers,
+    tool_of,
 )
 
 BASE = link("base", box("0.3 0.3 1", "0 0 0.5"))
@@ -83,6 +88,7 @@ def test_outlines_of_boxes_cylinders_and_spheres() -> None:
         ([1, 0, 0], [0, 3, 3], [0, 0.5**0.5, 0.5**0.5]),
         ([0.6, 0.8, 0], [1, 0, 0], [0.8, -0.6, 0]),  # no axis is across
         ([0.6, 0.8, 0], [0, 0, 2], [0, 0, 1]),
+        ([0.28, 0.96, 0], [1, 0, 0], [0.96, -0.28, 0]),  # an axis is nearly there, but not across
     ],
 )
 def test_the_way_across_is_nearest_to_what_is_wanted(
@@ -113,6 +119,17 @@ def test_fingers_open_to_where_they_are_farthest_apart(tmp_path: Path) -> None:
     assert open_fingers(structure_of(tmp_path, BASE, arm), "arm5") == {}
 
 
+def test_small_fingers_open_and_what_moves_nothing_that_is_seen_stays_at_its_lower_limit(
+    tmp_path: Path,
+) -> None:
+    arm = chain("arm", 6, "base", first="0 0 1")
+    short = LIMIT.replace('"-1"', '"-0.02"').replace('"1"', '"0.01"', 1)
+    two = sliding("a", 0.03, short), sliding("b", -0.03, short)
+    bare = link("c", "") + joint("c", "arm5")
+    structure = structure_of(tmp_path, BASE, arm, *two, bare)
+    assert open_fingers(structure, "arm5") == {"a_joint": 0.01, "b_joint": -0.02, "c_joint": -1.0}
+
+
 def test_of_many_fingers_all_are_at_their_lower_or_upper_limits(tmp_path: Path) -> None:
     limits = LIMIT.replace('"-1"', '"0"').replace('upper="1"', 'upper="0.5"')
     many = [sliding(f"f{i}", 0.1 * i, limits if i else LIMIT) for i in range(MOST_TRIED + 1)]
@@ -136,3 +153,99 @@ def test_a_hand_of_one_finger_without_a_body_has_no_opening(tmp_path: Path) -> N
     arm = chain("arm", 5, "base", first="0 0 1") + link("arm5", "") + joint("arm5", "arm4")
     structure = structure_of(tmp_path, BASE, arm, sliding("a", 0.0))
     assert _opening(structure, "arm5") == 0.0
+
+
+def frame(
+    name: str, at: tuple[float, ...], rpy: tuple[float, ...] = (0.0, -math.pi / 2, 0.0)
+) -> str:
+    """A link that is fixed to the hand `arm5`, by default with x along its z."""
+    words = " ".join(map(str, at)), " ".join(map(str, rpy))
+    made = joint(name, "arm5", "0 0 0", kind="fixed", more="")
+    return link(name, "") + made.replace('xyz="0 0 0"', f'xyz="{words[0]}" rpy="{words[1]}"')
+
+
+TIP = 0.05 + 0.025  # m along z from the hand to the tips of its fingers
+
+
+@pytest.mark.parametrize(
+    ("at", "rpy", "taken"),
+    [
+        ((0, 0, TIP - 0.02), (0, -math.pi / 2, 0), True),
+        ((0, 0, TIP - 0.059), (0, -math.pi / 2, 0), True),
+        ((0, 0, TIP - 0.061), (0, -math.pi / 2, 0), False),
+        ((0, 0, TIP + 0.004), (0, -math.pi / 2, 0), True),
+        ((0, 0, TIP + 0.006), (0, -math.pi / 2, 0), False),
+        ((0.014, 0, TIP), (0, -math.pi / 2, 0), True),
+        ((0.008, 0.014, TIP), (0, -math.pi / 2, 0), False),
+        ((0, 0, TIP), (0, -math.pi / 2 + 0.3, 0), True),
+        ((0, 0, TIP), (0, -math.pi / 2 + 0.35, 0), False),
+        ((0, 0, TIP), (0.44, -math.pi / 2, 0), True),
+        ((0, 0, TIP), (0.46, -math.pi / 2, 0), False),
+        ((0, 0, TIP), (math.pi, -math.pi / 2, 0), True),
+        ((0, 0, TIP), (0, math.pi / 2, 0), False),  # it leads back
+    ],
+)
+def test_a_frame_near_the_finger_tips_is_the_tool_frame(
+    tmp_path: Path, at: tuple[float, ...], rpy: tuple[float, ...], taken: bool
+) -> None:
+    arm = chain("arm", 6, "base", first="0 0 1")
+    structure = structure_of(tmp_path, BASE, arm, fingers("f", "arm5"), frame("there", at, rpy))
+    tool = tool_of(structure, "arm5")
+    assert (tool.link, tool.parent, tool.fingers) == ("there" if taken else None, "arm5", True)
+    assert tool.pose[:3, 3] == pytest.approx(at if taken else (0, 0, TIP - FROM_TIP))
+    if not taken:
+        assert tool.pose[:3, 0] == pytest.approx([0, 0, 1])
+        assert np.abs(tool.pose[:3, 1]) == pytest.approx([0, 1, 0])
+
+
+@pytest.mark.parametrize(("ahead", "taken"), [(-0.029, True), (-0.031, False), (0.13, True)])
+def test_without_fingers_a_frame_may_be_where_a_gripper_would_hold(
+    tmp_path: Path, ahead: float, taken: bool
+) -> None:
+    """Turned about its approach as it likes."""
+    end = 0.025 + BEYOND_END
+    there = frame("there", (0, 0, end + ahead), (0.7, -math.pi / 2, 0))
+    arm = chain("arm", 5, "base", first="0 0 1") + link("arm5") + joint("arm5", "arm4")
+    tool = tool_of(structure_of(tmp_path, BASE, arm, there), "arm5")
+    assert (tool.link, tool.fingers) == ("there" if taken else None, False)
+    assert tool.pose[:3, 3] == pytest.approx([0, 0, end + (ahead if taken else 0)])
+
+
+def test_of_several_frames_one_with_a_usual_name_is_taken_and_then_the_nearest(
+    tmp_path: Path,
+) -> None:
+    arm = chain("arm", 6, "base", first="0 0 1") + fingers("f", "arm5")
+    near, far = (0.0, 0.0, TIP - 0.021), (0.0, 0.0, TIP - 0.03)
+
+    def taken(*frames: str) -> str | None:
+        return tool_of(structure_of(tmp_path, BASE, arm, *frames), "arm5").link
+
+    assert taken(frame("a", far), frame("b", near)) == "b"
+    for name in ("my_tool", "grasp_frame", "tcp", "gripper_link"):
+        assert taken(frame("a", near), frame(name, far)) == name
+    assert taken(frame("tcp", far), frame("tool", near)) == "tool"
+
+
+def test_a_hand_that_nothing_is_known_of_holds_before_its_frame(tmp_path: Path) -> None:
+    arm = chain("arm", 5, "base", first="0 0 1") + link("arm5", "") + joint("arm5", "arm4")
+    tool = tool_of(structure_of(tmp_path, BASE, arm), "arm5")
+    assert tool.pose[:3, 3] == pytest.approx([0, 0, BEYOND_END])
+    assert tool.pose[:3, :3] @ tool.pose[:3, :3].T == pytest.approx(np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("toward", "found"),
+    [
+        ([0, 0.82, 0.57], [0, 1, 0]),  # nearly along the axis of the last joint
+        ([0, -0.82, 0.57], [0, -1, 0]),
+        ([0, 0.78, 0.63], [0, 1, 0]),  # else along the best axis of the hand
+        ([0, 0.6, 0.8], [0, 0, 1]),
+        ([0.1, 0.6, -0.8], [0, 0, -1]),
+        ([-0.9, 0.3, 0.3], [-1, 0, 0]),
+    ],
+)
+def test_a_hand_leads_along_its_joint_or_an_axis_of_its_frame(
+    tmp_path: Path, toward: list[float], found: list[float]
+) -> None:
+    structure = structure_of(tmp_path, BASE, chain("arm", 6, "base", first="0 0 1"))
+    assert _approach(structure, "arm5", np.array(toward)) == pytest.approx(found)

@@ -1,6 +1,7 @@
 """The page takes from browsers only what it can use, and shows foreign text as text."""
 
 import io
+import socket
 import time
 from collections.abc import Iterator
 from contextlib import redirect_stdout
@@ -13,18 +14,22 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import viser
 
 from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.chosen import last_skill
 from cgtorch.tabletop.domain import Tabletop
+from cgtorch.tabletop.physics import MujocoWorld
 from cgtorch.tabletop.viewer import page as pages
-from cgtorch.tabletop.viewer.execution import scenario_of
+from cgtorch.tabletop.viewer.execution import execute, scenario_of
 from cgtorch.tabletop.viewer.page import (
     AHEAD,
     ALONE,
     APART,
     BEHIND,
+    CONTROLS_WIDTH,
     FASTEST,
+    GRAPH_WIDTH,
     NONE,
     NOTHING,
     SLOWEST,
@@ -34,7 +39,7 @@ from cgtorch.tabletop.viewer.page import (
     play_for_ever,
 )
 from cgtorch.tabletop.viewer.scene import levels_html, readings_html
-from cgtorch.tabletop.viewer.timeline import FPS, Candidate, Timeline
+from cgtorch.tabletop.viewer.timeline import FPS, Candidate, Timeline, timeline_of
 from cgtorch.tabletop.world.scenarios import DRAWS
 
 REFERENCE = Path(__file__).parents[3] / "runs" / "reference"
@@ -134,7 +139,9 @@ def test_choices_that_do_not_exist_change_nothing(page: Page) -> None:
 def test_an_object_is_dragged_to_a_place(page: Page) -> None:
     for place, moves in (((np.nan, 0, 0), False), ((0.1, -0.4, 0.7), True)):
         before = page.scenario
-        page._dragged(SimpleNamespace(phase="end", target=SimpleNamespace(position=place)))
+        target = SimpleNamespace(position=np.array(place))
+        page._dragged(SimpleNamespace(phase="end", target=target))
+        assert page.scenario.object.dtype == before.object.dtype
         assert (page.scenario is not before) == moves
         assert (page.clock is not None) == moves  # it is shown at once
     assert page.scenario.object[0].tolist() == pytest.approx([0.1, -0.4])
@@ -280,6 +287,59 @@ def test_two_skills_are_shown_side_by_side(page: Page, monkeypatch: pytest.Monke
     page.against.value = NONE
     assert len(page.scenes) == 1
     assert other[0].content == NOTHING
+
+
+def test_a_browser_is_told_how_the_page_looks_and_what_was_wished(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is served where it was asked to, and nowhere else."""
+    monkeypatch.setattr(pages, "Scene", Plain)
+    candidates = dict.fromkeys("ab", page.candidates[HOSTILE])
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with redirect_stdout(io.StringIO()):
+        made, address = open_page(candidates, Wish("b", "a", "perimeter", 1, 7), "127.0.0.1", port)
+    server: Any = made.server
+    assert address == f"http://127.0.0.1:{port}"
+    assert (server.get_host(), server.get_port()) == ("127.0.0.1", port)
+    assert server._websock_server._verbose is False
+    assert (made.skill.value, made.against.value) == ("b", "a")
+    assert (made.kind.value, made.number.max, made.seed.value) == ("perimeter", 2, 7)
+    assert torch.equal(made.scenario.object, scenario_of("perimeter", 1, 7, 0).object)
+    assert len(made.timelines) == len(made.graphs) == 2
+    assert {type(part.content) for pair in made.graphs for part in pair} == {str}
+    told = [*server._websock_server._broadcast_buffer.message_from_id.values()]
+    (theme,) = (each for each in told if type(each).__name__ == "ThemeConfigurationMessage")
+    assert (theme.show_logo, theme.show_share_button) == (False, False)
+    (title,) = (each for each in told if type(each).__name__ == "SetGuiPanelLabelMessage")
+    assert title.label == "cgtorch"
+    places = [each for each in told if type(each).__name__ == "GuiSetPanelPositionMessage"]
+    assert [each.position["edge"] for each in places] == ["right", "left"]
+    widths = [each for each in told if type(each).__name__ == "GuiSetPanelWidthMessage"]
+    assert [each.width for each in widths] == [CONTROLS_WIDTH, GRAPH_WIDTH]
+    assert [each.uuid for each in widths] == [each.uuid for each in places]
+    floor = server.scene._handle_from_node_name["/floor"]
+    assert (floor.width, floor.height, floor.plane_opacity) == (14, 14, 1)
+    assert made.gizmo.active_axes == (True, True, False)  # an object stays on the table
+    assert made.gizmo.disable_rotations
+    assert made.gizmo.scale < 1
+    assert (made.playing.label, made.playing.icon) == ("Play", viser.Icon.PLAYER_PLAY)
+    made.toggle()
+    assert (made.playing.label, made.playing.icon) == ("Pause", viser.Icon.PLAYER_PAUSE)
+    server.stop()
+
+
+def test_motions_are_simulated_where_the_world_is(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planned, real = page.timelines[0], page.candidates[HOSTILE]
+    run = execute(planned.execution.skill, real.world(page.scenario))
+    assert torch.equal(planned.pose, timeline_of(run, real.domain.robot).pose)
+    assert torch.equal(planned.joints, timeline_of(run, real.domain.robot).joints)
+    monkeypatch.setattr(pages, "simulated_timeline", lambda *given: given)
+    world = MujocoWorld(page.scenario, real.domain.physics)
+    candidate: Any = SimpleNamespace(skill="skill", domain="domain", world=lambda scenario: world)
+    assert pages._timeline(candidate, page.scenario) == ("skill", "domain", page.scenario)
 
 
 def test_a_page_that_cannot_be_served_is_not_begun() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from support import custom_actions, random_skill, tool_pose, world
 from viser.transforms import SE3
 
 from cgtorch.graphs import Skill
+from cgtorch.graphs.clusters import clusters_of
 from cgtorch.ground.errors import DataError
 from cgtorch.runs.chosen import last_skill
 from cgtorch.tabletop.kinematics import Robot, load_robot, robots_folder
@@ -25,6 +27,8 @@ from cgtorch.tabletop.viewer.execution import Execution, execute, scenario_of
 from cgtorch.tabletop.viewer.scene import (
     LIT,
     OBJECT,
+    OUTER_HEIGHT,
+    SCALE,
     Scene,
     headline,
     levels_html,
@@ -138,6 +142,25 @@ def test_only_the_innermost_level_is_drawn_large(monkeypatch: pytest.MonkeyPatch
     levels_html(executions()[0].skill, deepest)
     assert large == [False] * (len(deepest.places) - 1) + [True]
     assert len(large) > 1
+
+
+def test_a_level_that_waits_is_no_higher_than_it_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = list[tuple[float, float]]()
+
+    def noted(figure: Any, key: str, path: str, scale: float) -> None:
+        assert (key, path) == (cluster.key, cluster.path)
+        drawn.append((figure.get_size_inches()[1], scale))
+
+    monkeypatch.setattr(scenes, "inline_svg", noted)
+    skill = executions()[0].skill
+    for cluster in clusters_of(skill):
+        for last in (True, False):
+            scenes._picture.__wrapped__(skill, cluster.skill, last)
+    assert len(drawn) > 2
+    for (height, large), (same, small) in zip(drawn[::2], drawn[1::2], strict=True):
+        assert (same, large) == (height, SCALE)
+        assert small == pytest.approx(min(SCALE, OUTER_HEIGHT / height))
+    assert min(small for _, small in drawn) < SCALE
 
 
 def test_names_that_look_like_markup_stay_names() -> None:

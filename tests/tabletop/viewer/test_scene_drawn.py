@@ -160,6 +160,8 @@ def test_a_table_its_legs_and_obstacles_are_boxes() -> None:
     assert (box.visible, box.color) == (True, BOX_COLOUR)
     assert known["obstacle-1"].visible is False
     assert known["label"].given == ("Reach",)
+    assert known["label"].anchor == "bottom-center"  # so that it is above its place
+    assert known["label"].font_screen_scale > 1
     assert known["label"].position == pytest.approx((0.0, 0.0, 1.2))
     stops, way = lines_of(known["stops"]), lines_of(known["way"])
     assert len(stops) == 2 * 4  # as it stays for a step

@@ -17,8 +17,17 @@ from cgtorch.tabletop.world import (
     cluttered_scenarios,
     draw_of,
     general_scenarios,
+    scenarios,
 )
-from cgtorch.tabletop.world.scenarios import Draw, beside
+from cgtorch.tabletop.world.scenarios import (
+    OBSTACLE_AWAY,
+    OBSTACLE_SIDE,
+    Draw,
+    Scenarios,
+    _in_the_way,
+    _obstacles,
+    beside,
+)
 
 COUNT = 2000
 
@@ -108,6 +117,22 @@ def test_half_of_the_cluttered_scenes_have_a_box_that_is_in_nobodys_place() -> N
     assert sum(gap > 0.7 for gap in gaps) > 100  # and some do
 
 
+def test_boxes_of_any_size_and_yaw_are_drawn_around_a_table_at_any_distance() -> None:
+    """Each independently of the others."""
+    s = general_scenarios(COUNT, seeded(5))
+    s.table[:, 2] = 0.0
+    drawn = _obstacles(s, seeded(6))
+    tables, centres = map(polygon, s.table.tolist()), map(Point, drawn[:, :2].tolist())
+    away = torch.tensor([t.distance(at) for t, at in zip(tables, centres, strict=True)])
+    columns = [
+        (torch.atan2(drawn[:, 1], drawn[:, 0]), -math.pi, math.pi), (away, *OBSTACLE_AWAY),
+        (drawn[:, 2], -math.pi, math.pi), *((side, *OBSTACLE_SIDE) for side in drawn[:, 3:].T),
+    ]  # fmt: skip
+    assert all(is_uniform(*column) for column in columns)
+    every = torch.stack([values for values, *_ in columns])
+    assert torch.corrcoef(every).fill_diagonal_(0).abs().max() < 0.1
+
+
 @pytest.mark.parametrize("draw", [general_scenarios, cluttered_scenarios])
 def test_the_generator_decides_and_counts_are_checked(draw: Draw) -> None:
     one, again, other = (draw(20, seeded(s)) for s in (0, 0, 1))
@@ -121,10 +146,44 @@ def test_the_generator_decides_and_counts_are_checked(draw: Draw) -> None:
         draw(-1, seeded(0))
 
 
+def test_a_box_is_in_the_way_on_the_table_or_where_the_robot_has_to_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(scenarios, "ROOM", 0.5)
+    place = torch.tensor([[-2.0, 0.0, 0.0]]).expand(5, 3)
+    table = torch.tensor([[0.0, 0.0, 0.0, 1.0, 1.0, 0.7]]).expand(5, 6)
+    scene = Scenarios(place, table, torch.zeros(5, 2), torch.zeros(5, dtype=torch.long))
+    at = [(-1.25, 0.0), (-1.3, 0.0), (-0.7, 0.0), (-2.0, 0.7), (-1.6, 0.6)]
+    boxes = torch.tensor([[x, y, 0.0, 0.5, 0.5] for x, y in at])
+    found = _in_the_way(boxes, scene)
+    assert found.tolist() == [False, True, True, True, True]
+    turned = boxes.clone()
+    turned[:, 2] = math.pi / 4  # of which a corner leads to the robot
+    turned[0, 0], turned[4, 1] = -1.2, 0.7
+    assert _in_the_way(turned, scene).tolist() == [True, True, True, True, False]
+
+
 def test_clutter_changes_nothing_else() -> None:
     plain, cluttered = general_scenarios(50, seeded(4)), cluttered_scenarios(50, seeded(4))
     for name in ("pose", "table", "object", "seed"):
         assert torch.equal(getattr(plain, name), getattr(cluttered, name))
+
+
+def test_a_seed_gives_the_scenarios_that_it_always_gave() -> None:
+    """Or what was measured on them could not be measured again."""
+    paper, general = (draw_of(name)(2, seeded(0)) for name in ("perimeter", "general"))
+    assert paper.pose[1].tolist() == pytest.approx([-1.382251, 0.052923, -0.026373], abs=1e-5)
+    assert paper.object[1].tolist() == pytest.approx([-0.006935, 0.460356], abs=1e-5)
+    assert paper.seed.tolist() == [1277901399, 243580376]
+    assert general.pose[1].tolist() == pytest.approx([-1.720114, 0.410136, -0.576077], abs=1e-5)
+    assert general.object[1].tolist() == pytest.approx([0.192785, -0.284236], abs=1e-5)
+    wanted = [0.0, 0.0, -2.080621, 0.879115, 0.921374, 0.606698]
+    assert general.table[1].tolist() == pytest.approx(wanted, abs=1e-5)
+    assert general.seed.tolist() == [1340754471, 2061486254]
+    boxes = draw_of("general-clutter")(9, seeded(0)).obstacles[:, 0]
+    assert boxes[8].tolist() == pytest.approx(
+        [1.542443, -0.245699, 1.995087, 0.437060, 0.480357], abs=1e-5
+    )
 
 
 def test_every_kind_has_a_name() -> None:

@@ -53,6 +53,12 @@ def test_boxes_and_corners_in_the_robots_frame(
     assert again.symmetric_difference(box(*wanted.bounds)).area == pytest.approx(0, abs=1e-9)
 
 
+def test_corners_go_round_from_where_both_axes_lead() -> None:
+    found = corners(tensor((1.0, 2.0, math.pi / 2, 2.0, 4.0)))[0]
+    wanted = [[-1.0, 3.0], [3.0, 3.0], [3.0, 1.0], [-1.0, 1.0]]
+    torch.testing.assert_close(found, tensor(*map(tuple, wanted)))
+
+
 @given(rectangles, rectangles)
 def test_overlap_is_that_of_polygons(first: tuple[float, ...], second: tuple[float, ...]) -> None:
     overlap = rectangles_overlap(tensor(first), tensor(second)).item()

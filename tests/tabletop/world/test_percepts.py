@@ -22,6 +22,12 @@ angles = st.floats(-7, 7)
 boxes = st.tuples(metres, metres, angles, st.floats(0.1, 1), st.floats(0.1, 1))
 
 
+def test_an_obstacle_is_present_wherever_one_of_its_sides_is_not_at_nought() -> None:
+    boxes = [[0.0, 1.0, 0.0, 2.0], [0.0] * 4, [-1.0, 0.0, 0.0, 0.5], [0.0, 0.0, 0.0, 0.1]]
+    percept = torch.tensor([*[0.0] * 7, *(x for box in boxes for x in box)])
+    assert parts_of(percept).present.tolist() == [True, False, True, True]
+
+
 @given(
     st.tuples(metres, metres, angles),
     st.tuples(metres, metres, angles, st.floats(0.1, 2), st.floats(0.1, 2), st.floats(0.3, 1.2)),

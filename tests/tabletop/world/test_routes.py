@@ -10,7 +10,7 @@ from torch import Tensor
 from cgtorch.ground.environment import start_lanes
 from cgtorch.tabletop.world import ClearMotion, Noise, Scenarios, TabletopWorld, cluttered_scenarios
 from cgtorch.tabletop.world.geometry import to_frame, wrap
-from cgtorch.tabletop.world.routes import LONGEST, first_motion
+from cgtorch.tabletop.world.routes import LONGEST, _shortest, first_motion
 
 BASE = torch.tensor(FOOTPRINT)
 
@@ -58,6 +58,25 @@ def test_it_leads_around_the_table_and_past_a_box(obstacle: list[float]) -> None
     assert motion_to(lanes.state[:, :3], goal)[:, :2].norm() < 1e-3
     start = start_lanes(place, torch.arange(1), 3, 0)
     assert not place.step(start, motion_to(scene.pose, goal))[1].any()
+
+
+def test_a_route_leads_past_two_corners_where_there_is_no_room_to_turn() -> None:
+    """Along three sides of a wall, with a box beside the second corner."""
+    corner = torch.tensor([[[0.0, 2.0], [3.0, 2.0], [0.01, 0.0]]])
+    wall, box = [1.5, 0.5, 0.0, 1.0, 2.0], [3.5, 2.0, 0.0, 0.2, 0.2]
+    seen, goal = torch.tensor([[wall, box]]), torch.tensor([[3.0, 0.0, 0.5]])
+
+    def found(*there: bool) -> tuple[float, int]:
+        still, known = torch.zeros(1), torch.tensor([there])
+        length, first = _shortest(seen, corner, known, goal, still, BASE)
+        return float(length), int(first)
+
+    assert found(True, True, True) == (pytest.approx(7.0), 0)
+    assert found(True, False, True)[0] == found(False, True, True)[0] == torch.inf
+    turned = goal.clone()
+    turned[0, 2] = torch.pi
+    whole = _shortest(seen, corner, torch.ones(1, 3, dtype=torch.bool), turned, goal[:, 2], BASE)
+    assert float(whole[0]) == torch.inf  # who turns at first cannot pass the box
 
 
 def test_who_is_shut_in_stays() -> None:
