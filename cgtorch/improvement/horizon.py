@@ -112,8 +112,8 @@ class Horizon:
     def chosen(self, played: Played, toll: float) -> "Horizon":
         """The one that later episodes need, after an update with whole ones.
 
-        While most samples end early, it is at least twice as long as these, as else nothing was
-        known of samples that end later than usual (Salimans et al., "Evolution strategies as a
+        While most samples end early, and under a toll, which is there because most do, it is at
+        least twice as long as these, as else nothing was known of samples that end later than usual (Salimans et al., "Evolution strategies as a
         scalable alternative to reinforcement learning", 2017, section 2.1). It is at least half of
         what was played before, and a sixteenth of the longest episode, as few samples may agree by
         chance.
@@ -122,8 +122,8 @@ class Horizon:
             return self
         longest, usual = float(played.steps.max()), float(played.steps.mean())
         ended = played.steps[played.steps < longest]
-        short = usual < SHORT * longest and len(ended) > 0
-        least = LENGTHS * float(ended.mean()) if short else 0.0
+        stretched = len(ended) > 0 and (toll > 0 or usual < SHORT * longest)
+        least = LENGTHS * float(ended.mean()) if stretched else 0.0
         values, needed = played.worth(toll), inf
         most = selection_gain(values, values)
         gain = max(most, USUAL * self.gain)

@@ -107,6 +107,8 @@ def test_while_most_samples_end_early_it_is_longer_than_these() -> None:
     steps[16:18] = 1000.0
     assert float(steps.mean()) > 250
     assert chosen(known([], VALUES, steps)) == 62.5  # as many live for long
+    early = float(steps[:16].mean())
+    assert chosen(known([], VALUES, steps), toll=1e-9) == pytest.approx(2 * early)
     assert chosen(known([], VALUES, whole(128))) == HORIZONS[0]  # as all are as long
 
 
@@ -156,7 +158,7 @@ def test_a_toll_is_taken_from_early_returns_for_the_share_of_the_transitions() -
     found = known(early, values, steps)
     assert found.worth(4.0).tolist() == steps.flip(0).tolist()
     assert chosen(found, toll=4.0) < chosen(found)
-    assert chosen(found, toll=4.0) == 4096 / 16
+    assert chosen(found, toll=4.0) == 2 * float(steps[:-1].mean())
 
 
 def test_a_toll_is_taken_from_early_returns_by_what_was_played_until_then() -> None:
