@@ -64,10 +64,15 @@ class Played:
         return (self.early[..., : len(HORIZONS)] - toll * self.lengths[..., None] * shares).mean(1)
 
     def until(self, horizon: float) -> "Played":
-        """The same up to a horizon, whose returns are the last of the early ones."""
+        """The same up to a horizon, whose returns are the last of the early ones.
+
+        Episodes that have not ended, and have fewer steps, stay the worst.
+        """
         share = (horizon / self.steps.clamp_min(1)).clamp_max(1)
         steps = self.steps.clamp_max(horizon)
-        return Played(self.early[..., -1], self.lengths * share, steps, self.early[..., :0])
+        stuck = (self.values <= WORST) & (self.steps < horizon)
+        values = torch.where(stuck, self.values, self.early[..., -1])
+        return Played(values, self.lengths * share, steps, self.early[..., :0])
 
     def beside(self, others: "Played") -> "Played":
         """Those on other scenarios, too."""
@@ -106,17 +111,17 @@ class Horizon:
     def truncated(self, played: Played, alike: bool, share: float) -> "Horizon":
         """The one after so large a share of an update up to it, in which samples may be alike."""
         since = self.since + share * float(played.steps.sum(1).mean())
-        steps = inf if alike else self.steps
-        return replace(self, steps=steps, since=since, updates=self.updates + share)
+        after = replace(self, since=since, updates=self.updates + share)
+        return replace(after, steps=inf, starts=1) if alike else after
 
     def chosen(self, played: Played, toll: float) -> "Horizon":
         """The one that later episodes need, after an update with whole ones.
 
         While most samples end early, and under a toll, which is there because most do, it is at
-        least twice as long as these, as else nothing was known of samples that end later than usual (Salimans et al., "Evolution strategies as a
-        scalable alternative to reinforcement learning", 2017, section 2.1). It is at least half of
-        what was played before, and a sixteenth of the longest episode, as few samples may agree by
-        chance.
+        least twice as long as these. Otherwise nothing was known of samples that end later than
+        usual (Salimans et al., "Evolution strategies as a scalable alternative to reinforcement
+        learning", 2017, section 2.1). It is at least half of what was played before, and a
+        sixteenth of the longest episode, as few samples may agree by chance.
         """
         if not played.early.shape[2]:
             return self
@@ -164,9 +169,13 @@ def played_until(
         runs = fresh.runs(graphs, actions, world)
         added = runs.state.new_zeros(*runs.transitions.shape, 1)
     else:
-        marks = (*HORIZONS, ceil(min(before, HORIZONS[-1]))) if horizon == inf else ()
+        last = HORIZONS[-1] if before == inf else ceil(before)
+        marks = (*HORIZONS, last) if horizon == inf else ()
         place = truncated(world, horizon, marks)
         runs = fresh.runs(graphs, actions, place)
         added = place.added(runs.state)
-    values = torch.nan_to_num(what_counts(runs), nan=WORST).clamp_min(WORST).double()
-    return Played(values, runs.transitions, added[..., 0].double(), added[..., 1:].double())
+    values, early = (
+        torch.nan_to_num(each, nan=WORST).clamp_min(WORST).double()
+        for each in (what_counts(runs), added[..., 1:])
+    )
+    return Played(values, runs.transitions, added[..., 0].double(), early)

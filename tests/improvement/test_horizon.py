@@ -148,7 +148,8 @@ def test_whole_episodes_come_once_others_have_cost_as_much_and_after_some_update
     assert dear.whole
     after = dear.chosen(known([], VALUES, whole()), 0.0)
     assert (after.updates, after.since, after.whole) == (0, 0, False)
-    assert horizon.truncated(short, alike=True, share=1.0).whole  # they tell nothing
+    told = Horizon(30.0, starts=4).truncated(short, alike=True, share=1.0)  # it is nothing
+    assert (told.whole, told.starts) == (True, 1)
 
 
 def test_a_toll_is_taken_from_early_returns_for_the_share_of_the_transitions() -> None:
@@ -177,6 +178,10 @@ def test_whole_episodes_are_cut_and_joined_with_others() -> None:
     assert torch.equal(cut.steps, steps.clamp_max(50)[:, None])
     assert cut.lengths[:, 0].tolist() == pytest.approx((2 * steps.clamp_max(50)).tolist())
     assert cut.early.shape == (COUNT, 1, 0)
+    unfinished = torch.full_like(VALUES, WORST)
+    stuck = known(early, unfinished, steps).until(50.0)  # where the first five had few steps
+    assert (stuck.values[:5] == WORST).all()
+    assert torch.equal(stuck.values[5:], LUCK[5:, None])
     both = cut.beside(known([], VALUES, steps))
     assert torch.equal(both.values, torch.stack([LUCK, VALUES], 1))
     assert torch.equal(both.steps[:, 1], steps)
