@@ -94,7 +94,7 @@ def test_rounds_go_on_from_the_best_skill_and_test_its_mean(whole: Whole) -> Non
 
 
 def test_a_round_ends_and_the_goal_is_reached_once_a_second_test_holds(tmp_path: Path) -> None:
-    run, events = begun(tmp_path / "run", attempts=300, pole="CartPole-v1"), list[Event]()
+    run, events = begun(tmp_path / "run", attempts=300), list[Event]()
     results = train_until(Training(run, events.append, quietly), Goal(target=40.0, rounds=9))
     first, second = of(events, FreshTested)[-2:]
     assert (first.decisive, second.decisive) == (False, True)
