@@ -124,6 +124,15 @@ def test_members_meet_one_scenario_before_they_meet_many() -> None:
     assert not fresh[solved.any(1)].any()
 
 
+def test_whoever_solves_all_meets_twice_as_many_each_time() -> None:
+    scenarios = random_scenarios("near", 60, seeded(5))
+    able = scenarios[try_skill(MEMBERS[0], world_of(scenarios)).succeeded][:12]
+    watched = Watched()
+    setup = stage_of(replace(without_models(remembers=True), world_of=watched))
+    assert tried(setup, state_of(able, MEMBERS), [0]).outcomes[:, 0].tolist() == [1] * 12
+    assert [len(each.keys) for each in watched.trials] == [1, 2, 4, 5]
+
+
 def test_whoever_has_failed_is_not_tried_again_when_a_member_joins(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
