@@ -29,9 +29,10 @@ from cgtorch.improvement.events import (
     ModelsFitted,
     SkillAccepted,
 )
-from cgtorch.improvement.imagined import _ended, _founded, improve_imagined
+from cgtorch.improvement.imagined import _ended, _founded, _recalled, improve_imagined
 from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT, Search
 from cgtorch.improvement.imagined_state import State
+from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.played import OneEpisode, Steps, tried_out
 from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.improvement.trial import try_skill
@@ -229,6 +230,23 @@ def known() -> Any:
     """What is known after the first episodes."""
     search = Search(setup_of(lambda _: None), GivenModels(DOMAIN), draw)
     return search.begun(seeded(0)).known
+
+
+def test_a_search_begins_with_what_earlier_rounds_have_found(known: Any) -> None:
+    setup = setup_of(lambda _: None)
+    seeds = random_population(1, setup.actions, 6, (2, 4), seeded(0))
+    seeds = replace(seeds, graphs=compacted(seeds.graphs))
+    old = Skill("old", seeds.graphs, setup.actions, 50)
+    search = Search(setup, GivenModels(DOMAIN), draw)
+    for skill, specialists in ((None, None), (old, seeds)):
+        before = replace(BEFORE, skill=skill, knowledge=known, specialists=specialists)
+        state, (island,) = _recalled(search, before, seeded(0))
+        assert state.known is known
+        assert state.inner.holder == (None if skill is None else Holder(skill))
+        assert (state.generations, island.generation) == (0, 0)
+    nodes = int(seeds.graphs.num_nodes)
+    copies = (island.population.graphs.action[:, :nodes] == seeds.graphs.action[:, :nodes]).all(1)
+    assert int(copies.sum()) >= SMALL.population // 2
 
 
 def only_counted(

@@ -4,6 +4,7 @@ import itertools
 import math
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -31,8 +32,9 @@ from cgtorch.improvement.checkpoint import Found
 from cgtorch.improvement.events import GenerationDone, WorldAsked
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Budget, Setup
-from cgtorch.improvement.specialists import evolve_candidate
+from cgtorch.improvement.specialists import READABLE, evolve_candidate
 from cgtorch.improvement.team import FEWEST, OTHERS, with_member
+from cgtorch.runs.journal import FileJournal
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
 
@@ -46,8 +48,10 @@ def test_few_missed_scenarios_are_joined_by_solved_ones(
     """A specialist that sees two scenarios only would learn them by heart."""
     missed = missed + 1
     told: dict[str, Any] = {}
+    groups = list[int]()
 
     def imagine(models: None, scenarios: Scenarios, percepts: Tensor, count: int, *_: Any) -> Any:
+        groups.append(len(scenarios))
         told.update(scenarios=scenarios, percepts=percepts, replicas=count)
         return in_the_world(models, scenarios, percepts, count)
 
@@ -64,6 +68,7 @@ def test_few_missed_scenarios_are_joined_by_solved_ones(
         after = with_member(stage_of(setup), replace(state, number=7), which)
     rows = [scenarios.seed.tolist().index(s) for s in told["scenarios"].seed.tolist()]
     assert len(rows) == len(set(rows))
+    assert groups == [len(rows)]  # at once, as it does not grow
     assert torch.equal(told["percepts"], state.percepts[rows])
     ill = [row for row in rows if which[row]]
     assert len(ill) == min(missed, group)
@@ -205,18 +210,46 @@ class CountedPath(RewardedPath):
         return super().next_state(state, control, scenario)
 
 
-def test_low_level_steps_of_an_evolution_are_paid_and_told() -> None:
-    world, told, purse = CountedPath(Walks(torch.zeros(3), torch.full((3,), 4.0))), [], Purse()
-    setup: Setup[Walks] = Setup(
-        actions=walking_actions(), world_of=CountedPath, imagine=lambda *_: world, purse=purse,
+def counted(told: list[Any]) -> tuple[CountedPath, Setup[Walks]]:
+    """A path, and a search on it that pays for its steps."""
+    world = CountedPath(Walks(torch.zeros(3), torch.full((3,), 4.0)))
+    return world, Setup(
+        actions=walking_actions(), world_of=CountedPath, imagine=lambda *_: world, purse=Purse(),
         evolution=EvolutionSettings(population=20, fitness=episode_return), watch=told.append,
         budget=Budget(3, enough=math.inf), generator=seeded(0),
     )  # fmt: skip
-    found = evolve_candidate(setup, "walk", world)
-    assert 0 < found.asked.steps <= world.taken - 5
-    (event,) = of_kind(told, WorldAsked)
-    assert (event.phase, event.asked, event.recalled) == ("search", found.asked, False)
-    assert purse.spent == {"search": found.asked}
+
+
+def test_low_level_steps_of_an_evolution_are_paid_and_told_once(tmp_path: Path) -> None:
+    told = list[Any]()
+    world, setup = counted(told)
+    found = evolve_candidate(replace(setup, journal=FileJournal(tmp_path)), "walk", world)
+    taken = world.taken
+    assert 0 < found.asked.steps <= taken - 5
+    again = replace(setup, journal=FileJournal(tmp_path), purse=Purse())
+    assert evolve_candidate(again, "walk", world).asked == found.asked
+    assert world.taken == taken  # as the result is known
+    for event, recalled, purse in zip(
+        of_kind(told, WorldAsked), (False, True), (setup.purse, again.purse), strict=True
+    ):
+        assert (event.phase, event.asked, event.recalled) == ("search", found.asked, recalled)
+        assert purse.spent == {"search": found.asked}
+
+
+def test_low_level_steps_of_making_a_specialist_smaller_are_paid_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told = list[Any]()
+    world, setup = counted(told)
+    graphs = random_graphs(0, 20, setup.actions, capacity=24, nodes=(20, 24))
+    large = Population(graphs[graphs.num_nodes > READABLE][:1], initial_strategy(1))
+    found = Found(large, torch.zeros(3) > 0, -9.0, asked=Asked(steps=2))
+    monkeypatch.setattr(specialists, "best_of_searches", lambda *_: found)
+    about = world.scenarios, torch.zeros(3, 2), None
+    small, _ = specialists.specialist(setup, "walk", None, *about)
+    assert int(small.graphs.num_nodes) <= READABLE
+    assert [event.asked for event in of_kind(told, WorldAsked)] == [Asked(steps=world.taken - 5)]
+    assert setup.purse.total == Asked(steps=world.taken - 5)
 
 
 def test_of_many_seeds_the_newest_begin_beside_as_many_new_individuals(
