@@ -93,7 +93,7 @@ def test_a_member_is_trusted_where_it_solves_the_neighbours(seed: int, count: in
 
 def test_scenarios_that_decide_and_those_near_by() -> None:
     state = random_state(0, 4)
-    outcomes = torch.tensor([[1, 0, -1], [1, 1, 1], [-1, -1, -1], [0, 0, 0]])
+    outcomes = torch.tensor([[1, 0, -1], [1, 1, 0], [-1, 0, -1], [0, 0, 0]])
     assert decisive(replace(state, outcomes=outcomes)).tolist() == [True, False, False, False]
     percepts = torch.zeros(4, 7)
     percepts[:, 0] = torch.tensor([0.0, 1.0, 5.0, 7.0])

@@ -26,6 +26,7 @@ from cgtorch.improvement.paired_race import (
     student,
     what_counts,
 )
+from cgtorch.improvement.split import split
 
 BEST, GOOD, BAD = staking(1.0), staking(0.9), staking(0.0, 1.0)
 """Skills that win 90, 87.5 and 40 % of their tickets."""
@@ -49,6 +50,10 @@ def test_values_are_successes_or_returns_on_scenarios_that_all_skills_meet() -> 
     assert torch.equal(paid, 2 * won[:2])
     other = replace(BEST, actions=ACTIONS.extended(["Branch"], [BranchingNN(2)]))
     assert torch.equal(fresh().of_skills([other, BAD, BEST], 20_000, seeded(0)), won)
+    halves = split(other.graph, other.actions)  # of three nodes, which do what the one did
+    assert halves is not None
+    every = replace(other, graph=halves), replace(BAD, actions=other.actions), other
+    assert torch.equal(fresh().of_skills(every, 20_000, seeded(0)), won)
 
 
 def test_a_mean_and_its_error_are_those_of_all_values() -> None:

@@ -109,6 +109,11 @@ def test_tunings_are_updated_together_on_the_scenarios_of_the_one_that_needs_mos
     alone, _ = updated_once(few)  # by the same samples, on other scenarios
     step = alone.distribution.mean - few.distribution.mean
     assert torch.dot(low.distribution.mean - few.distribution.mean, step) > 0
+    two = widened(few.graph, 2)
+    flipped = two.action.flip(1), two.edges.flip(1), two.parameters.flip(1), two.start + 1
+    late = replace(few, graph=Graphs(*flipped))  # whose node is in the second slot
+    for tuning, _ in update([few, late], ACTIONS, fresh(), seeded(0)):
+        assert 0.5 < tuning.level <= 1
 
 
 class Indifferent(Fresh):
