@@ -18,7 +18,7 @@ from cgtorch.evolution.population import random_population
 from cgtorch.evolution.search import derived_generator
 from cgtorch.graphs import Skill, compacted
 from cgtorch.ground.asked import BudgetSpentError, Purse
-from cgtorch.ground.environment import start_lanes
+from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.improvement import imagined
 from cgtorch.improvement.events import (
     EpisodePlayed,
@@ -326,6 +326,21 @@ def test_what_is_not_carried_out_costs_nothing_and_is_no_step() -> None:
         == [True] * 3
     )
     assert len(third) <= 1
+
+
+class Clock(Track):
+    """A track that remembers the numbers of its steps."""
+
+    def step(self, lanes: Lanes, control: torch.Tensor) -> tuple[Lanes, torch.Tensor]:
+        self.met = [*getattr(self, "met", []), int(lanes.step)]
+        return super().step(lanes, control)
+
+
+def test_the_steps_of_random_controls_are_numbered_as_those_of_a_skill() -> None:
+    track = Clock(Places(torch.tensor([-5.0])))
+    episode = OneEpisode(track, Purse(), "trials", 4, 30)
+    tried_out(episode, lambda: torch.ones(1, 1), 0.5, seeded(0))
+    assert track.met == [0, 1, 2, 3]
 
 
 class TwoNumbers(Track):
