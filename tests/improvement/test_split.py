@@ -57,7 +57,9 @@ def test_a_split_graph_does_what_it_did_and_has_twice_the_parameters() -> None:
 def test_nothing_is_split_without_parameters_or_without_a_branch() -> None:
     assert split(idle().graph, ACTIONS) is None
     assert split(staking(1.0).graph, ACTIONS) is None
-    assert split(staking(1.0).graph, ACTIONS.extended(["Branch"], [BranchingNN(2)])) is not None
+    whole = split(staking(1.0).graph, ACTIONS.extended(["Branch"], [BranchingNN(2)]))
+    assert whole is not None
+    assert int(whole.num_nodes) == 3  # though the graph had no free slot
     plain = ActionSet(("Linear", "Step"), (LinearNN(2, 1), Step(1)))
     graph = Graphs(
         torch.tensor([[0, 1]]), torch.tensor([[[1, -1], [0, 0]]]), torch.zeros(1, 2, 3),
