@@ -122,6 +122,7 @@ def test_what_is_solved_is_told_of_each_scenario() -> None:
 def test_islands_of_other_ranks_are_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     generation = second_generation(3)
     assert not stands(generation).apart
+    assert not Checkpoint({}, ()).apart
     monkeypatch.setattr(ranks, "held", lambda count: range(1))
     found = Found(generation.champion, torch.ones(3) > 0, 0.5)
     assert checkpoint_of(found, generation.islands[:1], 3).apart

@@ -265,8 +265,7 @@ def test_there_is_no_episode_before_patience_is_over(begun: State) -> None:
     assert search.setup.purse.total == Asked()
     late = search_of(satisfied=1e6)
     late.setup.purse.until = 0.0
-    patient = replace(begun, waited=9, mark=inf)
-    state, _ = late.after(patient, generation_of(search, begun, POOR), seeded(1))
+    state, _ = after(late, replace(begun, waited=9, mark=inf))
     assert (state.waited, late.setup.purse.total) == (10, Asked())
 
 
@@ -303,17 +302,19 @@ def test_who_explores_is_offered_if_it_reaches_the_target(
 ) -> None:
     monkeypatch.setattr(Search, "exploring", lambda *_: GOOD)
     monkeypatch.setattr(Search, "telling", lambda self, graphs, *_: same(graphs, GOOD))
-    told: list[Event] = []
-    state, offered = after(search_of(told=told), impatient)
+    state, offered = after(search_of(), impatient)
     assert offered
     assert state.skill is not None
     assert same(state.skill.graph, GOOD)
     state, offered = after(search_of(satisfied=30.0), impatient, champion=GOOD)
     assert (offered, state.skill, state.seed) == (False, None, None)
-    reached = of_kind(told, EpisodePlayed)[0].returned
-    for satisfied, sure in ((30.0, True), (8.0, False), (reached, True)):
+    told: list[Event] = []
+    assert search_of(told=told)._explored(impatient, POOR, GOOD, seeded(1))[1]
+    good = of_kind(told, EpisodePlayed)[0].returned
+    for satisfied, sure in ((30.0, True), (8.0, False), (good, True)):
         monkeypatch.setattr(Search, "surely", lambda *_, sure=sure: sure)
-        assert after(search_of(satisfied), impatient)[1] is (satisfied == reached)
+        found = search_of(satisfied)._explored(impatient, POOR, GOOD, seeded(1))
+        assert found[1] is (satisfied == good)
 
 
 def test_a_search_begins_again_with_who_explores_if_more_is_imagined_for_it(

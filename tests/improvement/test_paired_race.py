@@ -9,7 +9,7 @@ import scipy.stats
 import torch
 from lottery import ACTIONS, Lottery, PaidLottery, alone, idle, staking, tickets
 from support import seeded
-from torch import Generator
+from torch import Generator, Tensor
 
 from cgtorch.graphs import ActionSet, BranchingNN, Skill, resized
 from cgtorch.improvement import paired_race as paired
@@ -65,6 +65,23 @@ def test_skills_have_any_number_of_nodes() -> None:
     one, other = fresh().of_skills(list(both), 1000, seeded(0))
     assert torch.equal(one, other)
     assert 0 < one.mean() < 1
+
+
+class Lazy(Fresh):
+    """Skills of this name do not finish their first episode."""
+
+    def of_skills(self, skills: Sequence[Skill], count: int, generator: Generator) -> Tensor:
+        values = super().of_skills(skills, count, generator)
+        values[[each.name == "lazy" for each in skills], 0] = -math.inf
+        return values
+
+
+def test_whoever_does_not_finish_an_episode_loses_at_the_first_look() -> None:
+    lazy, place = replace(BEST, name="lazy"), Lazy(fresh().world, 3)
+    assert paired_race(place, Holder(BAD), lazy, 1000, seeded(0)) == Holder(BAD)
+    assert place.episodes == 2 * FIRST
+    assert paired_race(place, Holder(lazy), BAD, 1000, seeded(0)) == Holder(BAD)
+    assert place.episodes == 4 * FIRST
 
 
 def test_a_mean_and_its_error_are_those_of_all_values() -> None:

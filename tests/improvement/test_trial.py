@@ -110,6 +110,13 @@ def test_an_episode_that_the_budget_does_not_cover_is_not_begun() -> None:
     assert purse.total.episodes == 3
 
 
+def test_low_level_steps_of_before_are_no_cost_of_a_trial() -> None:
+    world: Any = world_of(random_scenarios("near", 3, seeded(0)))
+    world.asked, purse = Asked(steps=5), Purse()
+    trial = try_skill(nearly(0.3), world, purse)
+    assert trial.asked.steps == purse.total.steps == 0
+
+
 def test_a_journal_recalls_trials_and_looks_and_what_they_cost(tmp_path: Path) -> None:
     """The world is not asked again, and all of it is counted, though no budget covers it."""
     watched = Watched(unrepeatable)
