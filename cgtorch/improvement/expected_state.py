@@ -171,8 +171,8 @@ def state_from_tensors(
     """
     with damage():
         scenarios, reliability = tensors["need"].tolist()
-        count = sum(name.startswith("rival ") and name.endswith(".step") for name in tensors)
-        rivals = [_from_tensors(f"rival {i}", tensors, actions) for i in range(count)]
+        most = len(tensors)  # as each rival has several
+        rivals = [_from_tensors(f"rival {i}", tensors, actions) for i in range(most)]
         state = State(
             need=Need(int(scenarios), reliability),
             spent=Spent(*tensors["spent"].tolist()),

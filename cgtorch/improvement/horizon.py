@@ -60,7 +60,7 @@ class Played:
     def early_worth(self, toll: float) -> Tensor:
         """(P, H) the same of episodes up to each of `HORIZONS`."""
         marks = torch.tensor(HORIZONS).to(self.early)
-        shares = (marks / self.steps[..., None].clamp_min(1)).clamp_max(1)
+        shares = (marks / self.steps[..., None]).clamp_max(1)
         return (self.early[..., : len(HORIZONS)] - toll * self.lengths[..., None] * shares).mean(1)
 
     def until(self, horizon: float) -> "Played":
@@ -68,7 +68,7 @@ class Played:
 
         Episodes that have not ended, and have fewer steps, stay the worst.
         """
-        share = (horizon / self.steps.clamp_min(1)).clamp_max(1)
+        share = (horizon / self.steps).clamp_max(1)
         steps = self.steps.clamp_max(horizon)
         stuck = (self.values <= WORST) & (self.steps < horizon)
         values = torch.where(stuck, self.values, self.early[..., -1])

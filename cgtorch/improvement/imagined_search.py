@@ -226,7 +226,8 @@ class Search:
         """(B,) returns of a graph in imagined episodes."""
         setup = self.setup
         found = rollout(graphs, setup.actions, world, max_transitions=setup.max_transitions)
-        return torch.full((1,), -torch.inf) if found.returns is None else found.returns[0]
+        assert found.returns is not None  # noqa: S101  as it gives rewards
+        return found.returns[0]
 
     def promised(self, graphs: Graphs, world: Environment) -> tuple[float, float]:
         """The mean return of a graph in imagined episodes, and its standard error on fresh ones."""

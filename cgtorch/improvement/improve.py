@@ -83,7 +83,7 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         if state.judged is None and int(state.keep.sum()) >= DECISIVE:
             state = without_chance(setup, state)
         accepted |= bool((state.keep & ~state.known).any())
-        solved = int(state.keep[: len(first.keep)].sum()) if state.repeats else 0
+        solved = int(state.keep[: len(first.keep)].sum())
         idle = 0 if solved > best[0] or state.in_a_row > best[1] else idle + 1
         best = max(best[0], solved), max(best[1], state.in_a_row)
         if state.repeats != first.repeats:  # means are compared from now on
@@ -118,13 +118,13 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
 
 def _without_missed(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> Progress[S]:
     """The result of a stage that leaves what earlier ones missed aside, and hands it on."""
-    solved, missed = len(progress.solved), progress.missed
-    seen = torch.empty(0) if progress.seen is None else progress.seen
+    solved, missed, seen = len(progress.solved), progress.missed, progress.seen
+    assert seen is not None  # noqa: S101  as something was missed
     few = replace(progress, missed=missed[:0], seen=seen[:solved])
     after = improve(setup, few, tests, draw)
+    assert after.seen is not None  # noqa: S101  as `few` has some
     both = after.missed.joined(missed)
-    parts = [part for part in (after.seen, seen[solved:]) if part is not None]
-    return replace(after, missed=both, seen=torch.cat(parts))
+    return replace(after, missed=both, seen=torch.cat([after.seen, seen[solved:]]))
 
 
 def _begun(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> StageState[S]:

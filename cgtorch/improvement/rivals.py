@@ -66,7 +66,7 @@ def halved(rivals: Sequence[Tuning], rungs: Sequence[int]) -> tuple[Tuning, ...]
     updates = {each.distribution.updates for each in usual}
     if not compared(rivals) or len(updates) > 1 or not updates & set(rungs):
         return tuple(rivals)
-    left = sorted(usual, key=lambda each: -each.level)[: -(-len(usual) // 2)]
+    left = sorted(usual, key=lambda each: -each.level)[: -(len(usual) // 2)]
     return tuple(each for each in rivals if each.alone or any(each is one for one in left))
 
 

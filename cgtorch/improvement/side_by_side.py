@@ -20,8 +20,7 @@ class SideBySide(MeanSearch):
     def _turn(self, state: State) -> tuple[Tuning, ...]:
         """All that is tuned; the holder's tuning has its own turns once it needs more scenarios."""
         tuning, rivals = state.tuning, state.rivals
-        apart = tuning is None or any(tuning.scenarios > each.scenarios for each in rivals)
-        if apart or tuning is None or not rivals:
+        if tuning is None or any(tuning.scenarios > each.scenarios for each in rivals):
             return super()._turn(state)
         return *rivals, tuning
 

@@ -64,8 +64,8 @@ class Tuning:
     graph: Graphs
     distribution: Distribution
     scenarios: int
-    toll: float = 0.0
-    alone: bool = False
+    toll: float
+    alone: bool
     lost: int = 0
     reliability: float = Need.reliability
     recent: tuple[float, ...] = ()

@@ -139,6 +139,19 @@ def test_batches_double_up_to_a_limit_where_rollouts_take_time() -> None:
         assert (practised.in_a_row, practised.wanted) == (40, 40)
 
 
+def test_a_budget_that_is_spent_ends_practice_and_nothing_is_learned_from_it() -> None:
+    def learn(models: Any, data: Any, generator: Generator) -> Any:
+        raise AssertionError("the stage is over")
+
+    candidate, told = Candidate(MEMBER), list[Event]()
+    setup = replace(without_models(practice=9, purse=Purse({"episodes": 3})), learn=learn)
+    state = state_of(NONE, current=candidate)
+    after, done = acted(stage_of(setup, told.append), state, candidate, drawing([]))
+    assert (done, after.in_a_row, after.keep.tolist()) == (True, 3, [True] * 3)
+    (practised,) = of_kind(told, Practised)
+    assert (practised.in_a_row, practised.wanted) == (3, 9)
+
+
 def test_where_nothing_repeats_itself_tests_wait_and_models_learn_after_some_episodes() -> None:
     candidate, drawn = Candidate(MEMBER), list[int]()
     state = state_of(NONE, current=candidate, repeats=False, waiting=GOOD[:2])
@@ -212,6 +225,22 @@ def test_the_rest_of_w_is_met_first_and_what_is_lost_of_it_joins_the_others() ->
     assert (lost, len(same.rest[0])) == (False, 2)  # which is not tried again
     better, lost = _on_known(setup, state, replace(current), [])
     assert (lost, len(better.rest[0]), len(better.keep)) == (False, 2, 2)
+
+
+def test_what_is_not_lost_of_the_rest_of_w_stays_there() -> None:
+    current, other = Candidate(MEMBER), Candidate(replace(nearly(0.45), name="other"))
+    able = try_skill(other.skill, world_of(GOOD)).succeeded
+    held, lost = GOOD[able][:2], GOOD[~able][:1]
+    rest = held.joined(lost)
+    percepts = first_percepts(world_of(rest))
+    state = state_of(BAD[:1], (OTHERS, MEMBER), current=current, rest=(rest, percepts))
+    after, worse = _on_known(stage_of(without_models()), state, other, [])
+    assert worse
+    assert keys(after.scenarios) == keys(BAD[:1].joined(lost))
+    assert torch.equal(after.percepts[1:], percepts[2:])
+    assert keys(after.rest[0]) == keys(held)
+    assert torch.equal(after.rest[1], percepts[:2])
+    assert after.members == (OTHERS, MEMBER)  # as it is one of them
 
 
 @pytest.mark.parametrize("count", [DECISIVE - 1, DECISIVE, MOST_JUDGED, MOST_JUDGED + 20])

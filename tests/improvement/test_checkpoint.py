@@ -10,9 +10,11 @@ import pytest
 import torch
 from support import custom_actions, model, same, seeded
 from torch import Tensor
+from watched import of_kind, stage_of, without_models
 
 from cgtorch.evolution import EvolutionSettings, Generation, evolve
 from cgtorch.evolution.population import slim
+from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import Asked
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.checkpoint import (
@@ -24,9 +26,12 @@ from cgtorch.improvement.checkpoint import (
     islands_from,
     state_tensors,
 )
+from cgtorch.improvement.events import EvolutionRecalled, GenerationDone
+from cgtorch.improvement.setup import Budget
+from cgtorch.improvement.specialists import evolve_candidate
 from cgtorch.runs.journal import FileJournal
 
-ACTIONS = custom_actions()
+ACTIONS, ASKED = custom_actions(), Asked(steps=7, motions=2)
 
 
 def second_generation(count: int) -> Generation:
@@ -38,7 +43,7 @@ def second_generation(count: int) -> Generation:
 
 def stands(generation: Generation) -> Checkpoint:
     solved = torch.tensor([True, False, True])
-    found = Found(generation.champion, solved, 0.5, 1, 1, 99, 1.5)
+    found = Found(generation.champion, solved, 0.1, 1, 1, 99, 1.7, ASKED)
     return checkpoint_of(found, generation.islands, len(generation.islands))
 
 
@@ -57,7 +62,8 @@ def test_what_is_kept_is_what_is_read(count: int, interrupted: bool, tmp_path: P
     checkpoint = FileJournal(tmp_path).recall_checkpoint("x")
     assert checkpoint is not None
     found = found_from(checkpoint.about, ACTIONS, 3)
-    assert (found.best, found.since, found.generations, found.transitions) == (0.5, 1, 1, 99)
+    assert (found.best, found.since, found.generations, found.transitions) == (0.1, 1, 1, 99)
+    assert (found.seconds, found.asked) == (1.7, ASKED)
     assert found.solved.tolist() == [True, False, True]
     assert same(found.champion.graphs, generation.champion.graphs)
     generator = seeded(9)
@@ -101,9 +107,25 @@ def test_an_island_that_makes_no_sense_is_one_error(bad: dict[str, Any]) -> None
 def test_what_it_has_come_to_and_makes_no_sense_is_one_error(name: str) -> None:
     about = found_tensors(Found(second_generation(1).champion, torch.ones(3) > 0, 0.5))
     without = {k: v for k, v in about.items() if k != name}
-    for bad in (without, {**about, name: torch.full((2, 2), 1j)}):
+    for bad in (without, {**about, name: torch.full((2, 2), 1j)}, {**about, name: torch.ones(3)}):
         with pytest.raises(RunError, match="the checkpoint of an evolution is damaged"):
             found_from(bad, ACTIONS, 3)
+
+
+def test_what_is_solved_is_told_of_each_scenario() -> None:
+    found = Found(second_generation(1).champion, torch.ones(3) > 0, 0.5)
+    assert found_from(found_tensors(found), ACTIONS, 3).solved.all()
+    with pytest.raises(RunError, match="damaged"):
+        found_from(found_tensors(found), ACTIONS, 4)
+
+
+def test_islands_of_other_ranks_are_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    generation = second_generation(3)
+    assert not stands(generation).apart
+    assert not Checkpoint({}, ()).apart
+    monkeypatch.setattr(ranks, "held", lambda count: range(1))
+    found = Found(generation.champion, torch.ones(3) > 0, 0.5)
+    assert checkpoint_of(found, generation.islands[:1], 3).apart
 
 
 def test_only_clearly_more_fitness_is_a_better_champion() -> None:
@@ -119,3 +141,30 @@ def test_only_clearly_more_fitness_is_a_better_champion() -> None:
         wanted = generation.champion if better else nobody
         assert same(after.champion.graphs, slim(wanted).graphs) or not better
         assert torch.equal(after.solved, generation.succeeded if better else before.solved)
+    as_good = Found(nobody, generation.succeeded, generation.best)
+    assert as_good.after(generation, 1.0, 0.0).since == 1
+
+
+def test_an_interrupted_evolution_goes_on_with_its_last_generation(tmp_path: Path) -> None:
+    told: list[Any] = []
+    setup = without_models(budget=Budget(generations=3, enough=2.0, patience=9))
+    whole = evolve_candidate(stage_of(setup), "S1.1", model(0, 5))
+
+    def watch(event: Any) -> None:
+        told.append(event)
+        if len(of_kind(told, GenerationDone)) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), FileJournal(tmp_path, seconds=0) as journal:
+        evolve_candidate(replace(stage_of(setup, watch), journal=journal), "S1.1", model(0, 5))
+    told.clear()
+    with FileJournal(tmp_path) as journal:
+        again = replace(stage_of(setup, told.append), journal=journal)
+        found = evolve_candidate(again, "S1.1", model(0, 5))
+    (recalled,) = of_kind(told, EvolutionRecalled)
+    assert recalled.found.generations == 1
+    assert [each.generation.number for each in of_kind(told, GenerationDone)] == [1, 2]
+    assert same(found.champion.graphs, whole.champion.graphs)
+    assert replace(found, champion=whole.champion, solved=whole.solved, seconds=0.0) == replace(
+        whole, seconds=0.0
+    )

@@ -186,7 +186,8 @@ def test_what_is_found_is_told_with_its_result_on_the_tests() -> None:
     assert torch.equal(accepted.succeeded, trial.succeeded)
     assert (accepted.keep.any(), accepted.targets.all()) == (False, True)
     assert 0 < done.seconds <= accepted.seconds < time.perf_counter() - began
-    assert done.limit == 1
+    assert (done.limit, done.size_w) == (1, 0)
+    assert done.size_m == done.generation.scores.shape[1]
     first, *later = of_kind(told, MeanTested)
     assert first.new
     assert first.tried >= BY_ROLLOUT.known

@@ -65,6 +65,7 @@ def test_the_horizon_is_the_shortest_from_which_on_selection_is_good() -> None:
         ([VALUES + 0.1 * LUCK], VALUES, HORIZONS[0]),
         ([LUCK] * len(HORIZONS), VALUES, inf),
         ([], nothing, inf),  # as nothing is known
+        ([LUCK, LUCK], 1e-3 * VALUES, HORIZONS[2]),  # in whatever unit
     ):
         assert chosen(known(early, worth, whole(128))) == wanted
 
@@ -110,6 +111,9 @@ def test_while_most_samples_end_early_it_is_longer_than_these() -> None:
     early = float(steps[:16].mean())
     assert chosen(known([], VALUES, steps), toll=1e-9) == pytest.approx(2 * early)
     assert chosen(known([], VALUES, whole(128))) == HORIZONS[0]  # as all are as long
+    one = whole()
+    one[0] = 100.0
+    assert chosen(known([], VALUES, one), toll=1e-9) == 200
 
 
 def test_it_is_at_least_half_as_long_as_before_and_a_sixteenth_of_the_longest_episode() -> None:
@@ -173,13 +177,15 @@ def test_a_toll_is_taken_from_early_returns_by_what_was_played_until_then() -> N
 def test_whole_episodes_are_cut_and_joined_with_others() -> None:
     steps, early = whole(), [LUCK] * (len(HORIZONS) + 1)
     steps[:5] = 20.0
+    steps[4] = 0.0  # as of an episode without a step in the world
     cut = known(early, VALUES, steps).until(50.0)
     assert torch.equal(cut.values, LUCK[:, None])
     assert torch.equal(cut.steps, steps.clamp_max(50)[:, None])
     assert cut.lengths[:, 0].tolist() == pytest.approx((2 * steps.clamp_max(50)).tolist())
     assert cut.early.shape == (COUNT, 1, 0)
     unfinished = torch.full_like(VALUES, WORST)
-    stuck = known(early, unfinished, steps).until(50.0)  # where the first five had few steps
+    steps[5:8] = 50.0
+    stuck = known(early, unfinished, steps).until(50.0)  # where the first five had fewer steps
     assert (stuck.values[:5] == WORST).all()
     assert torch.equal(stuck.values[5:], LUCK[5:, None])
     both = cut.beside(known([], VALUES, steps))

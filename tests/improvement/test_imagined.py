@@ -8,15 +8,18 @@ from typing import Any
 
 import pytest
 import torch
-from rewarded_cart import CartModels, GivenModels, Places, RewardedCart
+from rewarded_cart import CartModels, GivenModels, Places, RewardedCart, Track
 from support import same, seeded
+from torch import Generator
 from watched import of_kind
 
-from cgtorch.evolution import REWARDS
+from cgtorch.evolution import REWARDS, Generation
 from cgtorch.evolution.population import random_population
-from cgtorch.graphs import Skill
+from cgtorch.evolution.search import derived_generator
+from cgtorch.graphs import Skill, compacted
 from cgtorch.ground.asked import BudgetSpentError, Purse
-from cgtorch.ground.environment import start_lanes
+from cgtorch.ground.environment import Lanes, start_lanes
+from cgtorch.improvement import imagined
 from cgtorch.improvement.events import (
     EpisodePlayed,
     Event,
@@ -26,8 +29,10 @@ from cgtorch.improvement.events import (
     ModelsFitted,
     SkillAccepted,
 )
-from cgtorch.improvement.imagined import _ended, _founded, improve_imagined
+from cgtorch.improvement.imagined import _ended, _founded, _recalled, improve_imagined
 from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT, Search
+from cgtorch.improvement.imagined_state import State
+from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.played import OneEpisode, Steps, tried_out
 from cgtorch.improvement.setup import Budget, Progress, Setup
 from cgtorch.improvement.trial import try_skill
@@ -56,15 +61,16 @@ def setup_of(watch: Callable[[Event], Any], **others: Any) -> Setup[Places]:
     )
 
 
+def draw(count: int, generator: Generator) -> Places:
+    return DOMAIN.draw("any", count, generator)
+
+
 def searched(
     setup: Setup[Places],
     before: Progress[Places] = BEFORE,
     kind: type[CartModels] = CartModels,
     tests: Places = NOTHING,
 ) -> Progress[Places]:
-    def draw(count: int, generator: Any) -> Places:
-        return DOMAIN.draw("any", count, generator)
-
     return improve_imagined(setup, before, tests, draw, kind(DOMAIN))
 
 
@@ -119,6 +125,7 @@ def test_it_ends_with_its_budget_and_its_time_and_keeps_a_skill() -> None:
     assert after.specialists is not None
     assert same(after.specialists.graphs, after.skill.graph)
     (done,) = of_kind(told, GenerationDone)
+    assert done.generation.number == 0
     assert 0 < done.seconds < time.perf_counter() - began
     told.clear()
     again = searched(setup_of(told.append, budget=replace(hopeless, generations=2)), after)
@@ -163,7 +170,8 @@ def test_it_is_the_same_after_an_interruption(number: int, tmp_path: Path) -> No
         setup = setup_of(again.append, budget=budget, journal=journal, purse=second)
         found = searched(setup)
     (recalled,) = of_kind(again, EvolutionRecalled)
-    assert (recalled.found.best, recalled.found.generations) == (-torch.inf, number - 1)
+    known = recalled.found
+    assert (known.best, known.since, known.generations) == (-torch.inf, 0, number - 1)
     rest = of_kind(whole, GenerationDone)[number - 1 :]
     own = of_kind(again, GenerationDone)
     assert [e.generation.best for e in own] == [e.generation.best for e in rest]
@@ -217,6 +225,88 @@ def test_islands_are_founded_with_seeds_and_go_on_from_a_generation() -> None:
         assert not torch.equal(each.population.graphs.action, other.population.graphs.action)
 
 
+@pytest.fixture(scope="module")
+def known() -> Any:
+    """What is known after the first episodes."""
+    search = Search(setup_of(lambda _: None), GivenModels(DOMAIN), draw)
+    return search.begun(seeded(0)).known
+
+
+def test_a_search_begins_with_what_earlier_rounds_have_found(known: Any) -> None:
+    setup = setup_of(lambda _: None)
+    seeds = random_population(1, setup.actions, 6, (2, 4), seeded(0))
+    seeds = replace(seeds, graphs=compacted(seeds.graphs))
+    old = Skill("old", seeds.graphs, setup.actions, 50)
+    search = Search(setup, GivenModels(DOMAIN), draw)
+    for skill, specialists in ((None, None), (old, seeds)):
+        before = replace(BEFORE, skill=skill, knowledge=known, specialists=specialists)
+        state, (island,) = _recalled(search, before, seeded(0))
+        assert state.known is known
+        assert state.inner.holder == (None if skill is None else Holder(skill))
+        assert (state.generations, island.generation) == (0, 0)
+    nodes = int(seeds.graphs.num_nodes)
+    copies = (island.population.graphs.action[:, :nodes] == seeds.graphs.action[:, :nodes]).all(1)
+    assert int(copies.sum()) >= SMALL.population // 2
+
+
+def only_counted(
+    search: Search, state: State, generation: Generation, generator: Generator
+) -> tuple[State, bool]:
+    """The state after a generation from which nothing follows."""
+    spent = replace(state.inner.spent, generations=state.generations + 1)
+    return replace(state, inner=replace(state.inner, spent=spent)), False
+
+
+def test_it_has_so_many_generations_and_each_has_its_own_random_numbers(
+    known: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, numbers, best = list[Event](), list[int](), list[list[float]]()
+
+    def derived(generator: Generator, number: int) -> Generator:
+        numbers.append(number)
+        return derived_generator(generator, number)
+
+    monkeypatch.setattr(imagined, "derived_generator", derived)
+    monkeypatch.setattr(Search, "after", only_counted)
+    before = replace(BEFORE, knowledge=known)
+    for _ in range(2):
+        told.clear()
+        numbers.clear()
+        setup = setup_of(told.append, budget=Budget(2, satisfied=1e6), attempts=2)
+        assert searched(setup, before, GivenModels).skill is None
+        done = of_kind(told, GenerationDone)
+        assert [(each.generation.number, each.limit) for each in done] == [
+            (0, 4), (1, 4), (2, 4), (3, 4),
+        ]  # fmt: skip
+        assert {(each.size_w, each.size_m) for each in done} == {
+            (0, len(done[0].generation.scores[0]))
+        }
+        assert len(set(numbers)) == len(numbers)
+        best.append([each.generation.best for each in done])
+    assert best[0] == best[1]
+
+
+def test_a_search_that_begins_again_does_so_once_and_its_generations_are_counted_on(
+    known: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[Event] = []
+    setup = setup_of(told.append, budget=Budget(3, satisfied=1e6))
+    seed = compacted(random_population(1, setup.actions, 6, (2, 4), seeded(0)).graphs)
+
+    def begins_again(search: Search, state: State, *about: Any) -> tuple[State, bool]:
+        state, _ = only_counted(search, state, *about)
+        return (replace(state, seed=seed) if state.generations == 1 else state), False
+
+    monkeypatch.setattr(Search, "after", begins_again)
+    searched(setup, replace(BEFORE, knowledge=known), GivenModels)
+    first, again, last = (each.generation for each in of_kind(told, GenerationDone))
+    assert [first.number, again.number, last.number] == [0, 1, 2]
+    nodes = int(seed.num_nodes)
+    copies = (again.population.graphs.action[:, :nodes] == seed.action[0, :nodes]).all(1)
+    assert int(copies.sum()) >= SMALL.population // 2
+    assert [each.distinct_parents > 0 for each in (first, again, last)] == [False, False, True]
+
+
 def test_what_is_not_carried_out_costs_nothing_and_is_no_step() -> None:
     purse = Purse()
     episode = OneEpisode(DOMAIN.world(Places(torch.tensor([0.95]))), purse, "trials", 9, 30)
@@ -236,6 +326,36 @@ def test_what_is_not_carried_out_costs_nothing_and_is_no_step() -> None:
         == [True] * 3
     )
     assert len(third) <= 1
+
+
+class Clock(Track):
+    """A track that remembers the numbers of its steps."""
+
+    def step(self, lanes: Lanes, control: torch.Tensor) -> tuple[Lanes, torch.Tensor]:
+        self.met = [*getattr(self, "met", []), int(lanes.step)]
+        return super().step(lanes, control)
+
+
+def test_the_steps_of_random_controls_are_numbered_as_those_of_a_skill() -> None:
+    track = Clock(Places(torch.tensor([-5.0])))
+    episode = OneEpisode(track, Purse(), "trials", 4, 30)
+    tried_out(episode, lambda: torch.ones(1, 1), 0.5, seeded(0))
+    assert track.met == [0, 1, 2, 3]
+
+
+class TwoNumbers(Track):
+    """A track whose pushes have a second number, which changes nothing."""
+
+    control_size = 2
+
+
+def test_a_step_is_one_motion_however_many_numbers_a_control_has() -> None:
+    purse, place = Purse(), TwoNumbers(Places(torch.tensor([0.0])))
+    episode = OneEpisode(place, purse, "trials", 9, 30)
+    lanes = start_lanes(episode, torch.arange(1), 0, 0)
+    for second, motions in ((0.5, 1), (torch.nan, 1), (0.5, 2)):
+        lanes, _ = episode.step(lanes, torch.tensor([[0.5, second]]))
+        assert purse.total.motions == motions
 
 
 def test_an_episode_is_broken_off_and_only_its_own_end_is_one() -> None:

@@ -31,7 +31,6 @@ from cgtorch.improvement.imagined_state import (
     CHAMPIONS,
     CURIOUS,
     PATIENCE,
-    PROGRESS,
     RANDOM,
     STARTS,
     State,
@@ -61,6 +60,7 @@ def search_of(
     return Search(setup, draw=draw, models=kind(DOMAIN))
 
 
+EARLIER = Asked(motions=5, episodes=2, looks=3)  # before a search, as in earlier rounds
 Beginning: TypeAlias = tuple[Search, State, list[Event]]
 
 
@@ -68,6 +68,7 @@ Beginning: TypeAlias = tuple[Search, State, list[Event]]
 def beginning() -> Beginning:
     told: list[Event] = []
     search = search_of(told=told)
+    search.setup.purse.add(CURIOUS, EARLIER)
     return search, search.begun(seeded(0)), told
 
 
@@ -78,11 +79,12 @@ def begun(beginning: Beginning) -> State:
 
 def test_it_begins_with_looks_and_episodes_of_random_controls(beginning: Beginning) -> None:
     search, state, told = beginning
-    steps = search.setup.purse.total.motions
-    assert search.setup.purse.total == Asked(looks=LOOKS, episodes=EPISODES, motions=steps)
-    assert state.asked[STARTS].looks == LOOKS
-    assert (state.asked[RANDOM].episodes, state.episodes) == (EPISODES, EPISODES)
-    assert state.asked[RANDOM].motions == state.steps == len(state.known.steps) == steps
+    asked = search.setup.purse.total - EARLIER
+    steps = asked.motions
+    assert asked == Asked(looks=LOOKS, episodes=EPISODES, motions=steps)
+    assert state.asked[STARTS] == Asked(looks=LOOKS)
+    assert state.asked[RANDOM] == Asked(episodes=EPISODES, motions=steps)
+    assert (state.episodes, state.steps, len(state.known.steps)) == (EPISODES, steps, steps)
     assert EPISODES * SHORT >= steps > (EPISODES - 1) * SHORT / 2
     (fitted,) = of_kind(told, ModelsFitted)
     assert fitted.summary.first
@@ -263,8 +265,7 @@ def test_there_is_no_episode_before_patience_is_over(begun: State) -> None:
     assert search.setup.purse.total == Asked()
     late = search_of(satisfied=1e6)
     late.setup.purse.until = 0.0
-    patient = replace(begun, waited=9, mark=inf)
-    state, _ = late.after(patient, generation_of(search, begun, POOR), seeded(1))
+    state, _ = after(late, replace(begun, waited=9, mark=inf))
     assert (state.waited, late.setup.purse.total) == (10, Asked())
 
 
@@ -307,9 +308,26 @@ def test_who_explores_is_offered_if_it_reaches_the_target(
     assert same(state.skill.graph, GOOD)
     state, offered = after(search_of(satisfied=30.0), impatient, champion=GOOD)
     assert (offered, state.skill, state.seed) == (False, None, None)
-    for satisfied, sure in ((30.0, True), (8.0, False)):
+    told: list[Event] = []
+    assert search_of(told=told)._explored(impatient, POOR, GOOD, seeded(1))[1]
+    good = of_kind(told, EpisodePlayed)[0].returned
+    for satisfied, sure in ((30.0, True), (8.0, False), (good, True)):
         monkeypatch.setattr(Search, "surely", lambda *_, sure=sure: sure)
-        assert not after(search_of(satisfied), impatient)[1]
+        found = search_of(satisfied)._explored(impatient, POOR, GOOD, seeded(1))
+        assert found[1] is (satisfied == good)
+
+
+def test_a_search_begins_again_with_who_explores_if_more_is_imagined_for_it(
+    begun: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Search, "_played", lambda *_: (begun, 0.0, 0.0))
+    for said, better in (((2.0, 1.0), True), ((1.0, 1.0), False), ((-5.0, -4.0), False)):
+        monkeypatch.setattr(
+            Search, "promised", lambda _, graphs, *__, said=said: (said[same(graphs, POOR)], 0.5)
+        )
+        state, offered = search_of(satisfied=30.0)._explored(begun, POOR, GOOD, seeded(1))
+        assert not offered
+        assert (state.seed is not None) is better
 
 
 def test_a_champion_is_kept_if_the_world_gives_what_was_imagined_or_what_is_wanted(
@@ -324,6 +342,15 @@ def test_a_champion_is_kept_if_the_world_gives_what_was_imagined_or_what_is_want
             monkeypatch.setattr(Search, "surely", lambda *_, sure=sure: sure)
             state, offered = search._champion_played(begun, told_skill(GOOD), seeded(1))
             assert offered is (state.skill is not None) is (bool(kept) and sure)
+
+
+def test_an_episode_that_is_not_finished_has_no_return(begun: State) -> None:
+    told: list[Event] = []
+    search = search_of(told=told)
+    short = replace(search, setup=replace(search.setup, max_transitions=2))
+    assert not short._champion_played(begun, told_skill(GOOD), seeded(1))[1]
+    (episode,), (mean,) = of_kind(told, EpisodePlayed), of_kind(told, MeanTested)
+    assert (episode.returned, mean.mean) == (None, None)
 
 
 def test_it_is_told_how_much_more_was_imagined_from_where_an_episode_began(begun: State) -> None:
@@ -345,10 +372,13 @@ def test_who_explores_is_evolved_for_some_generations_in_other_episodes_each(
 
     monkeypatch.setattr(imagined_search, "EXPLORING", 1)
     monkeypatch.setattr(type(begun.known), "curious", counted)
-    search_of().exploring(begun.known, seeded(1))
+    found = search_of().exploring(begun.known, seeded(1))
     late.setup.purse.until = 0.0
     late.exploring(begun.known, seeded(1))
     assert told == [imagined_search.EACH] * 3
+    world = curious(begun.known, 20, imagined_search.CURIOUS_STEPS, seeded(2))
+    worth, others = (float(late.imagined(each, world).mean()) for each in (found, POOR))
+    assert worth > 2 * others  # as its episodes are not ended by the number of transitions
 
 
 def test_nothing_is_searched_for_where_no_reward_so_far_adds_up_to_what_is_wanted(
@@ -369,30 +399,3 @@ def test_nothing_is_searched_for_where_no_reward_so_far_adds_up_to_what_is_wante
         assert state.inner.spent.rivals > 0
         monkeypatch.setattr(type(begun.known), "most", lambda *_: 10.9)
     assert len(of_kind(told, EpisodePlayed)) == 1
-
-
-def test_progress_is_a_share_of_what_the_holder_lacks(begun: State) -> None:
-    def waits(state: State, mean: float) -> State:
-        holder = Holder(told_skill(GOOD), mean, mean**2, 1)
-        return replace(state, inner=replace(state.inner, holder=holder)).waiting(10.0)
-
-    assert begun.waiting(10.0).waited == begun.waited + 1  # without a holder
-    first = waits(begun, -10.0)
-    assert (first.waited, first.mark) == (0, -10)
-    less = waits(first, -10 + 0.9 * PROGRESS * 20)
-    assert (less.waited, less.mark) == (1, -10)
-    more = waits(less, -10 + 1.1 * PROGRESS * 20)
-    assert (more.waited, more.mark) == (0, pytest.approx(-10 + 1.1 * PROGRESS * 20))
-    assert more.met(begun.known, RANDOM, Asked()).mark == -inf
-
-
-def test_new_knowledge_makes_the_holders_values_old(begun: State) -> None:
-    inner = replace(begun.inner, holder=Holder(told_skill(GOOD), 3.0, 5.0, 2))
-    state = replace(begun, inner=inner, waited=4)
-    again = state.met(begun.known, RANDOM, Asked(motions=5, episodes=2))
-    assert again.inner.holder == Holder(inner.holder.skill if inner.holder else told_skill(GOOD))
-    assert (again.waited, again.mark) == (0, -inf)
-    assert again.episodes == begun.episodes + 2
-    assert again.asked[RANDOM].motions == begun.asked[RANDOM].motions + 5
-    assert again.asked[STARTS] == begun.asked[STARTS]
-    assert again.steps == begun.steps + 5

@@ -1,7 +1,7 @@
 """What is kept of a search in imagined episodes is what is read."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
 
@@ -14,6 +14,7 @@ from cgtorch.ground.asked import Asked
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement import expected_state as expected
 from cgtorch.improvement.imagined_state import (
+    CHAMPIONS,
     CURIOUS,
     PROGRESS,
     RANDOM,
@@ -73,3 +74,18 @@ def test_progress_is_more_than_a_share_of_what_is_lacking() -> None:
     for mark, target, progress in ((1.0, 6.0, False), (1.0, 5.0, True), (-inf, 6.0, True)):
         state = State(KNOWN, INNER, waited=2, mark=mark).waiting(target)
         assert (state.waited, state.mark) == ((0, 1.5) if progress else (3, mark))
+    nobody = State(KNOWN, expected.State(), waited=2).waiting(6.0)
+    assert (nobody.waited, nobody.mark) == (3, -inf)
+
+
+def test_new_knowledge_makes_the_holders_values_old() -> None:
+    new: Any = Told(8.0)
+    after = STATE.met(new, RANDOM, Asked(motions=5, episodes=2))
+    assert INNER.holder is not None
+    assert after.inner.holder == Holder(INNER.holder.skill)
+    assert (after.known, after.waited, after.mark) == (new, 0, -inf)
+    assert after.asked == {**ASKED, RANDOM: Asked(motions=9, looks=2, episodes=2)}
+    assert (after.episodes, after.steps) == (7, 12)
+    nobody = replace(STATE, inner=expected.State()).met(new, CHAMPIONS, Asked(motions=5))
+    assert nobody.inner.holder is None
+    assert nobody.asked == {**ASKED, CHAMPIONS: Asked(motions=5)}

@@ -112,5 +112,6 @@ def test_the_latest_means_have_to_be_better_by_the_error_of_both() -> None:
     assert not promoted([0.0, 2.0] * 9, *[1.0] * TRAIL)
     assert promoted([0.0, 2.0] * 9, *[1.0] * TRAIL, holds=True)  # as good is enough for it
     assert not promoted([0.0, 2.0] * 9, *[0.999] * TRAIL, holds=True)
-    assert promoted([1e8] * 9, *[1e8 + 1] * TRAIL)  # which single precision cannot tell apart
+    assert promoted([1e8] * 9, *[1e8 + 1] * TRAIL)
+    assert not promoted([1e8] * 9, *[1e8 - 1] * TRAIL)  # the same in single precision
     assert not better(None, tuned(staking(1.0), trail=(9.0,) * TRAIL), False)

@@ -51,6 +51,10 @@ def test_a_generation_is_counted_and_its_champion_is_the_first_holder() -> None:
         spent, updates = state.spent, state.spent.episodes - before.spent.episodes
         assert updates >= SAMPLES
         assert updates % SAMPLES in {0, 1}  # with the mean now and then
+        assert state.holder is not None
+        assert before.holder is not None
+        if state.holder.skill is before.holder.skill:  # whose values cost, too
+            assert state.holder.count == before.holder.count
         was_behind = before.behind(BY_STEP.ahead)
         assert (spent.tuned > before.spent.tuned) is was_behind
         assert (spent.rivals > before.spent.rivals) is not was_behind
@@ -224,6 +228,10 @@ def test_the_target_is_reached_by_a_mean_that_is_known_well() -> None:
     assert state.holder is not None
     assert state.holder.count == TRIED
     assert search.fresh.episodes == TRIED - len(few)
+    almost = good.met(torch.full((TRIED - 1,), 1.8))
+    state, reached = search.certain(State(holder=almost, spent=PLAYED), seeded(0))
+    assert reached
+    assert state.spent.raced == PLAYED.raced + 1
     state, reached = search.certain(State(holder=lucky.met(few), spent=PLAYED), seeded(0))
     assert not reached
     assert state.holder is not None

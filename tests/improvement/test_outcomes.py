@@ -93,7 +93,7 @@ def test_a_member_is_trusted_where_it_solves_the_neighbours(seed: int, count: in
 
 def test_scenarios_that_decide_and_those_near_by() -> None:
     state = random_state(0, 4)
-    outcomes = torch.tensor([[1, 0, -1], [1, 1, 1], [-1, -1, -1], [0, 0, 0]])
+    outcomes = torch.tensor([[1, 0, -1], [1, 1, 0], [-1, 0, -1], [0, 0, 0]])
     assert decisive(replace(state, outcomes=outcomes)).tolist() == [True, False, False, False]
     percepts = torch.zeros(4, 7)
     percepts[:, 0] = torch.tensor([0.0, 1.0, 5.0, 7.0])
@@ -122,6 +122,15 @@ def test_members_meet_one_scenario_before_they_meet_many() -> None:
     again = tried(setup, state, [0])
     fresh = (again.outcomes != 0) & (state.outcomes == 0)
     assert not fresh[solved.any(1)].any()
+
+
+def test_whoever_solves_all_meets_twice_as_many_each_time() -> None:
+    scenarios = random_scenarios("near", 60, seeded(5))
+    able = scenarios[try_skill(MEMBERS[0], world_of(scenarios)).succeeded][:12]
+    watched = Watched()
+    setup = stage_of(replace(without_models(remembers=True), world_of=watched))
+    assert tried(setup, state_of(able, MEMBERS), [0]).outcomes[:, 0].tolist() == [1] * 12
+    assert [len(each.keys) for each in watched.trials] == [1, 2, 4, 5]
 
 
 def test_whoever_has_failed_is_not_tried_again_when_a_member_joins(

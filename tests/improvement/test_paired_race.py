@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 import scipy.stats
 import torch
-from lottery import ACTIONS, Lottery, PaidLottery, idle, staking, tickets
+from lottery import ACTIONS, Lottery, PaidLottery, alone, idle, staking, tickets
 from support import seeded
-from torch import Generator
+from torch import Generator, Tensor
 
-from cgtorch.graphs import BranchingNN, Skill
+from cgtorch.graphs import ActionSet, BranchingNN, Skill, resized
 from cgtorch.improvement import paired_race as paired
 from cgtorch.improvement.pace import BY_ROLLOUT, BY_STEP
 from cgtorch.improvement.paired_race import (
@@ -26,6 +26,7 @@ from cgtorch.improvement.paired_race import (
     student,
     what_counts,
 )
+from cgtorch.improvement.split import split
 
 BEST, GOOD, BAD = staking(1.0), staking(0.9), staking(0.0, 1.0)
 """Skills that win 90, 87.5 and 40 % of their tickets."""
@@ -49,6 +50,38 @@ def test_values_are_successes_or_returns_on_scenarios_that_all_skills_meet() -> 
     assert torch.equal(paid, 2 * won[:2])
     other = replace(BEST, actions=ACTIONS.extended(["Branch"], [BranchingNN(2)]))
     assert torch.equal(fresh().of_skills([other, BAD, BEST], 20_000, seeded(0)), won)
+    backwards = ActionSet(ACTIONS.names[::-1], ACTIONS.actions[::-1])
+    reverse = replace(BEST, actions=backwards, graph=alone(1, [1.0, 0.0]))
+    assert torch.equal(fresh().of_skills([reverse, BAD, BEST], 20_000, seeded(0)), won)
+
+
+def test_skills_have_any_number_of_nodes() -> None:
+    actions = ACTIONS.extended(["Branch"], [BranchingNN(2)])
+    large = split(BEST.graph, actions)  # of three nodes, which do what the one did
+    assert large is not None
+    sizes = large.edges.shape[2], large.parameters.shape[2]
+    small = resized(BEST.graph, 1, *sizes)
+    both = (replace(BEST, actions=actions, graph=graph) for graph in (large, small))
+    one, other = fresh().of_skills(list(both), 1000, seeded(0))
+    assert torch.equal(one, other)
+    assert 0 < one.mean() < 1
+
+
+class Lazy(Fresh):
+    """Skills of this name do not finish their first episode."""
+
+    def of_skills(self, skills: Sequence[Skill], count: int, generator: Generator) -> Tensor:
+        values = super().of_skills(skills, count, generator)
+        values[[each.name == "lazy" for each in skills], 0] = -math.inf
+        return values
+
+
+def test_whoever_does_not_finish_an_episode_loses_at_the_first_look() -> None:
+    lazy, place = replace(BEST, name="lazy"), Lazy(fresh().world, 3)
+    assert paired_race(place, Holder(BAD), lazy, 1000, seeded(0)) == Holder(BAD)
+    assert place.episodes == 2 * FIRST
+    assert paired_race(place, Holder(lazy), BAD, 1000, seeded(0)) == Holder(BAD)
+    assert place.episodes == 4 * FIRST
 
 
 def test_a_mean_and_its_error_are_those_of_all_values() -> None:

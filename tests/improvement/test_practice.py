@@ -24,8 +24,8 @@ from watched import (
     without_models,
 )
 
-from cgtorch.improvement.events import Practised, SkillAccepted
-from cgtorch.improvement.improve import BATCH, FIRST, IDLE, LONG, _wanted
+from cgtorch.improvement.events import Practised, SkillAccepted, WorldAsked
+from cgtorch.improvement.improve import BATCH, DECISIVE, FIRST, IDLE, LONG, _wanted
 from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios
 
@@ -151,20 +151,20 @@ def test_tests_come_before_practice(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(after.solved) == 12
 
 
-@pytest.mark.parametrize("attempts", [3, 24])
+@pytest.mark.parametrize(("attempts", "practice", "solved"), [(3, 4, 2), (24, 4, 2), (24, 1, 0)])
 def test_what_nobody_can_solve_ends_a_stage_at_last(
-    attempts: int, monkeypatch: pytest.MonkeyPatch
+    attempts: int, practice: int, solved: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Though fresh scenarios are solved in a row each time."""
     recruited(monkeypatch, MEMBER)
-    drawn, tests = list[int](), GOOD[:2].joined(BAD[:1])
-    how = {"practice": 4, "looks": 2, "attempts": attempts, "noisy": False}
+    drawn, tests = list[int](), GOOD[:solved].joined(BAD[:1])
+    how = {"practice": practice, "looks": 2, "attempts": attempts, "noisy": False}
     after, told = improved(first_stage(), tests, drawing(set(), drawn), **how)
     practised: list[Practised] = of_kind(told, Practised)
-    assert [e.in_a_row for e in practised] == [4] * min(attempts, IDLE + 1)
+    assert [e.in_a_row for e in practised] == [practice] * min(attempts, IDLE + 1)
     assert after.skill is not None
     assert keys(after.missed) == keys(BAD[:1])
-    assert len(after.solved) == 2 + sum(drawn[1:]) >= 2 + 4
+    assert len(after.solved) == solved + sum(drawn[1:]) >= solved + practice
     assert len(of_kind(told, SkillAccepted)) == 1
 
 
@@ -190,14 +190,26 @@ def test_where_nothing_is_seen_nobody_is_evolved_and_all_stays(practice: int) ->
     assert not of_kind(told, SkillAccepted)
 
 
+@pytest.mark.parametrize(("solved", "first"), [(DECISIVE, 1), (DECISIVE - 1, 2)])
+def test_whether_success_is_chance_is_asked_once_enough_is_solved_to_tell(
+    solved: int, first: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And else at the end, which is after two candidates here."""
+    recruited(monkeypatch, MEMBER)
+    how = {"practice": 0, "looks": 2, "attempts": 2, "replays": 1, "noisy": True}
+    _, told = improved(first_stage(), GOOD[:solved].joined(BAD[:1]), drawing(set(), []), **how)
+    asked = [isinstance(e, WorldAsked) and e.phase == "other noise" for e in told].index(True)
+    assert len(of_kind(told[:asked], Practised)) == first
+
+
 def test_a_candidate_that_solves_more_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each time something more is solved, as many candidates may fail again."""
     useless = [replace(nearly(-1.0 - i / 10), name=f"useless {i}") for i in range(2 * IDLE)]
     order = [*useless[: IDLE - 1], MEMBER, *useless[IDLE:]]
     recruited(monkeypatch, *order)
     how = {"practice": 0, "looks": 2, "attempts": 99, "noisy": False, "replays": 1}
-    after, told = improved(first_stage(), GOOD[:3].joined(BAD[:3]), along("near"), **how)
-    assert len(after.solved) == 3
+    after, told = improved(first_stage(), GOOD[:1].joined(BAD[:3]), along("near"), **how)
+    assert len(after.solved) == 1
     assert len(of_kind(told, Practised)) == IDLE - 1 + 1 + IDLE
 
 

@@ -4,13 +4,19 @@ from dataclasses import replace
 
 import pytest
 import torch
-from support import random_graphs
+from members import nearly
+from reaching import in_the_world
+from support import random_graphs, seeded
+from watched import Watched, keys, state_of
 
 from cgtorch.evolution import Population, initial_strategy
 from cgtorch.graphs import compacted
 from cgtorch.improvement.checkpoint import Found
-from cgtorch.improvement.setup import Budget
+from cgtorch.improvement.improve import without_chance
+from cgtorch.improvement.setup import Budget, Setup
+from cgtorch.improvement.state import Candidate
 from cgtorch.tabletop.actions import paper_actions
+from cgtorch.tabletop.world import random_scenarios
 
 BUDGET = Budget(generations=50, patience=5, stall=9, enough=0.9, satisfied=0.7, transitions=1000.0)
 ONE = Population(compacted(random_graphs(0, 1, paper_actions())), initial_strategy(1))
@@ -37,3 +43,15 @@ def test_an_evolution_ends_at_each_of_its_limits_and_not_before(
 ) -> None:
     assert BUDGET.ends(found)
     assert not BUDGET.ends(replace(found, **almost))  # type: ignore[arg-type]
+
+
+def test_a_stage_tries_nothing_under_other_noise_unless_that_is_possible() -> None:
+    scenarios, watched = random_scenarios("near", 5, seeded(0)), Watched()
+    about = {"keep": torch.ones(5, dtype=torch.bool), "current": Candidate(nearly(0.3))}
+    state = state_of(scenarios, (), **about)
+    setup = Setup(actions=paper_actions(), world_of=watched, imagine=in_the_world)
+    assert without_chance(setup, state) is state
+    assert not watched.log
+    assert without_chance(replace(setup, noisy=True), state).judged is state.current
+    (other,) = watched.log
+    assert other.keys[0] not in keys(scenarios)

@@ -1,9 +1,10 @@
-"""Specialists: on what they are evolved, how often, and how small they become."""
+"""Specialists: on what they are evolved, how often, and what that costs."""
 
 import itertools
 import math
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,20 +22,19 @@ from cgtorch.evolution import (
     EvolutionSettings,
     Population,
     episode_return,
-    evaluator,
     initial_strategy,
     join,
     tournament,
 )
-from cgtorch.graphs import valid
+from cgtorch.ground.asked import Asked, Purse
 from cgtorch.improvement import specialists, team
 from cgtorch.improvement.checkpoint import Found
-from cgtorch.improvement.events import GenerationDone
+from cgtorch.improvement.events import GenerationDone, WorldAsked
 from cgtorch.improvement.improve import improve
 from cgtorch.improvement.setup import Budget, Setup
-from cgtorch.improvement.specialists import READABLE, _without_each, evolve_candidate, shrunk
+from cgtorch.improvement.specialists import READABLE, evolve_candidate
 from cgtorch.improvement.team import FEWEST, OTHERS, with_member
-from cgtorch.simulation import Rollouts
+from cgtorch.runs.journal import FileJournal
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
 
@@ -48,8 +48,10 @@ def test_few_missed_scenarios_are_joined_by_solved_ones(
     """A specialist that sees two scenarios only would learn them by heart."""
     missed = missed + 1
     told: dict[str, Any] = {}
+    groups = list[int]()
 
     def imagine(models: None, scenarios: Scenarios, percepts: Tensor, count: int, *_: Any) -> Any:
+        groups.append(len(scenarios))
         told.update(scenarios=scenarios, percepts=percepts, replicas=count)
         return in_the_world(models, scenarios, percepts, count)
 
@@ -66,6 +68,7 @@ def test_few_missed_scenarios_are_joined_by_solved_ones(
         after = with_member(stage_of(setup), replace(state, number=7), which)
     rows = [scenarios.seed.tolist().index(s) for s in told["scenarios"].seed.tolist()]
     assert len(rows) == len(set(rows))
+    assert groups == [len(rows)]  # at once, as it does not grow
     assert torch.equal(told["percepts"], state.percepts[rows])
     ill = [row for row in rows if which[row]]
     assert len(ill) == min(missed, group)
@@ -184,12 +187,69 @@ def test_an_evolution_begins_with_its_seeds() -> None:
     done, *later = of_kind(told, GenerationDone)
     assert (done.limit, done.size_w, done.size_m) == (3, 0, 5)
     assert (len(later), found.generations) == (2, 3)
+    assert found.transitions == sum(each.generation.transitions for each in (done, *later))
     seconds = sum(each.seconds for each in (done, *later))
     assert 0 < seconds == pytest.approx(found.seconds)
     assert seconds < time.perf_counter() - began
     action = done.generation.population.graphs.action[:, :3]
     copies = (action == seeds.graphs.action[0, :3]).all(1)
     assert int(copies.sum()) >= setup.evolution.population // 2
+
+
+class CountedPath(RewardedPath):
+    """A path whose steps are counted."""
+
+    taken = 5
+
+    @property
+    def asked(self) -> Asked:
+        return Asked(steps=self.taken)
+
+    def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        self.taken += len(state)
+        return super().next_state(state, control, scenario)
+
+
+def counted(told: list[Any]) -> tuple[CountedPath, Setup[Walks]]:
+    """A path, and a search on it that pays for its steps."""
+    world = CountedPath(Walks(torch.zeros(3), torch.full((3,), 4.0)))
+    return world, Setup(
+        actions=walking_actions(), world_of=CountedPath, imagine=lambda *_: world, purse=Purse(),
+        evolution=EvolutionSettings(population=20, fitness=episode_return), watch=told.append,
+        budget=Budget(3, enough=math.inf), generator=seeded(0),
+    )  # fmt: skip
+
+
+def test_low_level_steps_of_an_evolution_are_paid_and_told_once(tmp_path: Path) -> None:
+    told = list[Any]()
+    world, setup = counted(told)
+    found = evolve_candidate(replace(setup, journal=FileJournal(tmp_path)), "walk", world)
+    taken = world.taken
+    assert 0 < found.asked.steps <= taken - 5
+    again = replace(setup, journal=FileJournal(tmp_path), purse=Purse())
+    assert evolve_candidate(again, "walk", world).asked == found.asked
+    assert world.taken == taken  # as the result is known
+    for event, recalled, purse in zip(
+        of_kind(told, WorldAsked), (False, True), (setup.purse, again.purse), strict=True
+    ):
+        assert (event.phase, event.asked, event.recalled) == ("search", found.asked, recalled)
+        assert purse.spent == {"search": found.asked}
+
+
+def test_low_level_steps_of_making_a_specialist_smaller_are_paid_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told = list[Any]()
+    world, setup = counted(told)
+    graphs = random_graphs(0, 20, setup.actions, capacity=24, nodes=(20, 24))
+    large = Population(graphs[graphs.num_nodes > READABLE][:1], initial_strategy(1))
+    found = Found(large, torch.zeros(3) > 0, -9.0, asked=Asked(steps=2))
+    monkeypatch.setattr(specialists, "best_of_searches", lambda *_: found)
+    about = world.scenarios, torch.zeros(3, 2), None
+    small, _ = specialists.specialist(setup, "walk", None, *about)
+    assert int(small.graphs.num_nodes) <= READABLE
+    assert [event.asked for event in of_kind(told, WorldAsked)] == [Asked(steps=world.taken - 5)]
+    assert setup.purse.total == Asked(steps=world.taken - 5)
 
 
 def test_of_many_seeds_the_newest_begin_beside_as_many_new_individuals(
@@ -245,57 +305,6 @@ def test_the_solved_ones_that_join_a_group_follow_from_the_generator(
     assert told[0] == told[1]
 
 
-def large(seed: int) -> Population:
-    """A random graph of more nodes than one can read."""
-    graphs = random_graphs(seed, 60, ACTIONS, capacity=24, nodes=(20, 24))
-    rows = (graphs.num_nodes > READABLE + 2).nonzero()[:1, 0]
-    return Population(graphs[rows], initial_strategy(1))
-
-
-def test_what_is_large_becomes_smaller_and_does_as_well() -> None:
-    environment, keep = model(3, 6), torch.zeros(6, dtype=torch.bool)
-    sizes = []
-    for seed in range(6):
-        before = large(seed)
-        after = shrunk(before, ACTIONS, environment, 20, 1e-3)
-        old, new = (evaluator(ACTIONS, environment, keep)(p.graphs) for p in (before, after))
-        sizes.append(int(after.graphs.num_nodes))
-        assert valid(after.graphs, ACTIONS).all()
-        assert (new.succeeded | ~old.succeeded).all()
-        assert float(new.fitness) >= float(old.fitness) - 1e-3
-        assert torch.equal(after.strategy, before.strategy)
-    assert min(sizes) <= READABLE  # most of what a random graph has is never visited
-    assert sum(size <= READABLE for size in sizes) >= 3
-
-
-def test_what_is_large_becomes_smaller_by_the_fitness_that_counts() -> None:
-    def length(runs: Rollouts, probability: Tensor) -> Tensor:
-        return runs.transitions.to(probability)
-
-    environment, keep = model(3, 6), torch.zeros(6, dtype=torch.bool)
-    for seed in range(4):
-        before = large(seed)
-        after = shrunk(before, ACTIONS, environment, 7, 1e-3, length)
-        of_both = evaluator(ACTIONS, environment, keep, 7, fitness=length)
-        old, new = of_both(before.graphs), of_both(after.graphs)
-        assert float(new.fitness) >= float(old.fitness) - 1e-3
-        assert (new.succeeded | ~old.succeeded).all()
-
-
-def test_what_solves_nothing_becomes_smaller_by_its_fitness_too() -> None:
-    def place(runs: Rollouts, probability: Tensor) -> Tensor:
-        return 2 + runs.percept[..., 0].to(probability)
-
-    environment, keep = model(3, 6), torch.zeros(6, dtype=torch.bool)
-    of_both = evaluator(ACTIONS, environment, keep, 7, fitness=place)
-    for seed in range(4):
-        before = large(seed)
-        after = shrunk(before, ACTIONS, environment, 7, 1e-3, place)
-        old, new = of_both(before.graphs), of_both(after.graphs)
-        assert not old.succeeded.all()
-        assert float(new.fitness) >= float(old.fitness) - 1e-3
-
-
 def test_episodes_of_an_evolution_are_no_longer_than_those_of_the_skill() -> None:
     told: list[Any] = []
     setup = without_models(max_transitions=2, budget=Budget(generations=2))
@@ -304,25 +313,6 @@ def test_episodes_of_an_evolution_are_no_longer_than_those_of_the_skill() -> Non
     assert generations
     for each in generations:
         assert each.generation.transitions <= 2 * 5 * setup.evolution.population
-
-
-def test_what_is_readable_stays() -> None:
-    graphs = random_graphs(0, 1, ACTIONS, nodes=(3, READABLE))
-    before = Population(graphs, initial_strategy(1))
-    assert shrunk(before, ACTIONS, model(0, 2), 20, 1e-3) is before
-
-
-def test_every_node_goes_once_for_every_other() -> None:
-    graphs = large(1).graphs
-    n = int(graphs.num_nodes)
-    smaller = _without_each(graphs)
-    assert len(smaller) == n * (n - 1)
-    assert valid(smaller, ACTIONS).all()
-    assert (smaller.num_nodes < n).all()
-    assert not smaller.parameters[~smaller.used].any()
-    was = graphs.used[0]
-    missing = (was & ~smaller.used).sum(0)[was]
-    assert (missing >= n - 1).all()
 
 
 def test_where_rollouts_take_time_what_is_missed_and_what_is_not_come_first_in_turns() -> None:

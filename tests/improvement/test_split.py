@@ -14,6 +14,7 @@ from cgtorch.graphs import (
     LinearNN,
     Step,
     pruned,
+    resized,
     reward_actions,
     valid,
 )
@@ -57,7 +58,13 @@ def test_a_split_graph_does_what_it_did_and_has_twice_the_parameters() -> None:
 def test_nothing_is_split_without_parameters_or_without_a_branch() -> None:
     assert split(idle().graph, ACTIONS) is None
     assert split(staking(1.0).graph, ACTIONS) is None
-    assert split(staking(1.0).graph, ACTIONS.extended(["Branch"], [BranchingNN(2)])) is not None
+    branching = ACTIONS.extended(["Branch"], [BranchingNN(2)])
+    whole = split(staking(1.0).graph, branching)
+    assert whole is not None
+    assert int(whole.num_nodes) == 3  # though the graph had no free slot
+    wide = split(resized(staking(1.0).graph, 1, 3, 2), branching)
+    assert wide is not None
+    assert wide.edges[0, 1].tolist() == [0, 2, -1]  # of three outcomes, as others have
     plain = ActionSet(("Linear", "Step"), (LinearNN(2, 1), Step(1)))
     graph = Graphs(
         torch.tensor([[0, 1]]), torch.tensor([[[1, -1], [0, 0]]]), torch.zeros(1, 2, 3),

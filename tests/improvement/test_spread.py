@@ -57,16 +57,17 @@ def test_luck_asks_for_more_scenarios_up_to_a_limit_and_differences_for_fewer() 
     assert after(more, between, 60).scenarios == after(more, between, 30).scenarios
 
 
-def test_it_is_that_of_a_two_way_analysis_of_variance() -> None:
+@pytest.mark.parametrize("count", [2, 3])
+def test_it_is_that_of_a_two_way_analysis_of_variance(count: int) -> None:
     """1 - 1 / F, where F compares the means of individuals with what is left beside scenarios."""
-    table = torch.rand(ENOUGH, 3, generator=seeded(3)).tolist()
-    rows, columns = range(ENOUGH), range(3)
-    mean = sum(map(sum, table)) / (ENOUGH * 3)
-    own = [sum(row) / 3 for row in table]
+    table = torch.rand(ENOUGH, count, generator=seeded(3)).tolist()
+    rows, columns = range(ENOUGH), range(count)
+    mean = sum(map(sum, table)) / (ENOUGH * count)
+    own = [sum(row) / count for row in table]
     hard = [sum(table[i][j] for i in rows) / ENOUGH for j in columns]
-    among = 3 * sum((x - mean) ** 2 for x in own) / (ENOUGH - 1)
+    among = count * sum((x - mean) ** 2 for x in own) / (ENOUGH - 1)
     rest = sum((table[i][j] - own[i] - hard[j] + mean) ** 2 for i in rows for j in columns)
-    wanted = 1 - rest / ((ENOUGH - 1) * 2) / among
+    wanted = 1 - rest / ((ENOUGH - 1) * (count - 1)) / among
     assert reliability(torch.tensor(table)) == pytest.approx(wanted, rel=1e-5)
 
 

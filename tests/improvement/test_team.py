@@ -156,6 +156,12 @@ def test_replays_are_broken_off_where_a_trial_would_be(
     assert trial.succeeded.sum() > 5
 
 
+def test_replays_have_a_limit_once_enough_successes_are_known() -> None:
+    state = state_of(random_scenarios("near", 1, seeded(0)))
+    for count, limit in ((FEWEST - 1, None), (FEWEST, STEPS * 20), (FEWEST + 1, STEPS * 20)):
+        assert replace(state, actions=(10,) * count).most_steps == limit
+
+
 def test_state_grows_with_what_is_met() -> None:
     scenarios = random_scenarios("near", 3, seeded(0))
     state = state_of(scenarios, (nearly(0.1), nearly(0.2)))

@@ -16,6 +16,7 @@ from torch import Tensor
 from watched import Watched, of_kind, stage_of, without_models
 
 from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
+from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import DomainError, RunError
 from cgtorch.improvement.events import WorldAsked
 from cgtorch.improvement.trial import (
@@ -108,6 +109,24 @@ def test_an_episode_that_the_budget_does_not_cover_is_not_begun() -> None:
         try_skill(nearly(0.3), watched(random_scenarios("near", 2, seeded(0))), purse)
     assert watched.asked == before
     assert purse.total.episodes == 3
+
+
+def test_low_level_steps_are_a_cost_of_the_trial_that_takes_them() -> None:
+    world: Any = world_of(random_scenarios("near", 3, seeded(0)))
+    world.asked, purse, step = Asked(steps=5), Purse(), world.step
+
+    def counted(lanes: Lanes, control: Tensor) -> Any:
+        world.asked += Asked(steps=len(control))
+        return step(lanes, control)
+
+    for _ in range(2):
+        before, earlier = world.asked.steps, purse.total.steps
+        world.step = step  # which counts nothing
+        assert try_skill(nearly(0.3), world, purse).asked.steps == 0
+        world.step = counted
+        trial = try_skill(nearly(0.3), world, purse, "practice")
+        assert trial.asked.steps == world.asked.steps - before > 0
+        assert purse.total.steps == purse.spent["practice"].steps == earlier + trial.asked.steps
 
 
 def test_a_journal_recalls_trials_and_looks_and_what_they_cost(tmp_path: Path) -> None:
