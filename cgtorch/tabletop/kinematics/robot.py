@@ -160,9 +160,11 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
     for joint in moving:
         if joint.type not in MOVING or joint.mimic is not None:
             kind = "mimic" if joint.mimic is not None else joint.type
+            follows = "" if joint.mimic is None else f", which follows {joint.mimic.joint!r}"
             raise RobotError(
-                f"arm {arm.name!r} has the {kind} joint {joint.name!r}: use an arm of revolute, "
-                "continuous and prismatic joints"
+                f"arm {arm.name!r} has the {kind} joint {joint.name!r}{follows}: use an arm of "
+                "revolute, continuous and prismatic joints that follow no other, by a base link "
+                "after this joint or a tool frame before it"
             )
     limits = torch.tensor([_limits(joint) for joint in moving], dtype=torch.float64)
     xml, links = _chain_xml(urdf, joints), (arm.base_link, arm.tool_frame)

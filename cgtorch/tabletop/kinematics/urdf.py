@@ -45,7 +45,7 @@ _NUMBERS = {
         1, _HUGE, ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"),
     ),
     "mass": (1, MOST, ("value",)),
-    "inertia": (1, MOST, ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
+    "inertia": (1, MOST**2, ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
 }  # fmt: skip
 """How many numbers, with which upper bound, the attributes of an element contain."""
 
@@ -119,8 +119,11 @@ def load_urdf(path: Path | str) -> Urdf:
     return urdf
 
 
-def read_urdf(path: Path) -> Any:
-    """The elements of a valid URDF, whose inertias are not checked."""
+def read_urdf(path: Path, notes: list[str] | None = None) -> Any:
+    """The elements of a valid URDF, whose inertias are not checked.
+
+    With notes, limits whose lower one is above the upper one are turned round, which is noted.
+    """
     where = f"URDF {str(path)!r}"
     data = read_bytes(path, MAX_BYTES, RobotError)
     root = parsed(data, where)
@@ -133,7 +136,7 @@ def read_urdf(path: Path) -> Any:
     _check_tree(root, where)
     completed(root, where)
     for joint in root.findall("joint"):
-        _check_joint(joint, f"{where}, line {joint.sourceline}: joint {joint.get('name')!r}")
+        _check_joint(joint, f"{where}, line {joint.sourceline}: joint {joint.get('name')!r}", notes)
     return root
 
 
@@ -162,6 +165,10 @@ def inertial_problem(link: Any) -> str:
         least, _, most = np.linalg.eigvalsh(inertial.inertia)
         if least < -ROUNDING * max(abs(most), ROUNDING):
             return f"an inertia of {least:.3g} kg m² about one of its axes"
+        if most > MOST:
+            return (
+                f"an inertia of {most:.3g} kg m² about one of its axes, which is above {MOST:.0e}"
+            )
     return ""
 
 
@@ -294,7 +301,7 @@ def _check_tree(root: Any, where: str) -> None:
         )
 
 
-def _check_joint(joint: Any, where: str) -> None:
+def _check_joint(joint: Any, where: str, notes: list[str] | None) -> None:
     """Check a joint's type, axis and limits; a missing axis becomes the URDF's default, x."""
     kind = joint.get("type")
     if kind not in _JOINT_TYPES:
@@ -320,4 +327,10 @@ def _check_joint(joint: Any, where: str) -> None:
         )
     lower, upper = limit.get("lower"), limit.get("upper")
     if float(lower) > float(upper):
-        raise RobotError(f"{where} has the limits ({lower}, {upper}): give lower <= upper")
+        if notes is None:
+            raise RobotError(f"{where} has the limits ({lower}, {upper}): give lower <= upper")
+        limit.set("lower", upper)
+        limit.set("upper", lower)
+        notes.append(
+            f"joint {joint.get('name')!r} has the limits ({lower}, {upper}), which are turned round"
+        )

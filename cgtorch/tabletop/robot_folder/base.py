@@ -16,6 +16,7 @@ from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 FLOOR_LINK, STAND_LINK = "base_footprint", "stand"
 VIRTUAL = 2  # slides, or a slide and turns, of links without a body that are a virtual base
+FREE = "planar", "floating"
 PLACES = ("world", "map", "odom")
 """Names of root links that do not belong to the robot."""
 OFF_FLOOR = 0.02  # m that the lowest point may be from the base frame's plane
@@ -174,17 +175,22 @@ def _limits(joint: Any) -> tuple[float, float]:
 
 
 def _without_virtual(structure: Structure, notes: list[str]) -> str:
-    """The link below the joints by which a URDF lets its base drive: level slides, and turns."""
+    """The link below the joints by which a URDF lets its base drive.
+
+    These are level slides, and turns, or a joint that is free in the plane or in space.
+    """
     link, virtual = structure.base, list[Any]()
     while len(structure.below[link]) == 1 and not _has_body(structure, link):
         joint = structure.below[link][0]
-        virtual += [joint] if joint.type in MOVING else []
+        virtual += [joint] if joint.type in (*MOVING, *FREE) else []
         link = joint.child
     slides = [j for j in virtual if j.type == "prismatic" and not slides_upright(structure, j)]
-    if not slides or len(virtual) < VIRTUAL:
+    free = any(joint.type in FREE for joint in virtual)
+    if not free and (not slides or len(virtual) < VIRTUAL):
         return structure.base
     names = ", ".join(joint.name for joint in virtual)
-    notes.append(f"{names} are taken for how the base drives, so that {link!r} is the base")
+    are = "is" if len(virtual) == 1 else "are"
+    notes.append(f"{names} {are} taken for how the base drives, so that {link!r} is the base")
     return link
 
 

@@ -20,6 +20,7 @@ FEWEST = 2  # joints of a chain after a body that make this body a torso
 TOLD = 3  # joints of a chain that is no arm from which it is told
 ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
 FINGERS = ((9, 0.2), (4, 0.3))  # the most joints of a finger, and how far it reaches at most, m
+HALF_TURN = 3.17  # rad that a jaw turns at most, with some room
 JAW = 0.6  # of the reach of a jaw, that of what it closes against
 ASIDE = 0.2  # of its reach, how far its middle is from its axis at least
 ACROSS = 0.5  # cosine of its axis to the way to its tip
@@ -178,6 +179,8 @@ def _is_jaw(structure: Structure, link: str, joint: Any) -> bool:
     """Whether a joint moves a jaw, which closes against a part of the body that carries it."""
     if _depth(structure, joint) > 1 or not _is_finger(structure, joint):
         return False
+    if _turns_far(structure, joint):
+        return False
     pose = structure.pose(joint.child)
     jaw = structure.seen(structure.hanging(joint.child)) - pose[:3, 3]
     other = structure.seen(structure.rigid(link)) - pose[:3, 3]
@@ -190,6 +193,19 @@ def _is_jaw(structure: Structure, link: str, joint: Any) -> bool:
     way = middle / aside
     turned = abs(float(pose[:3, :3] @ np.asarray(joint.axis, dtype=np.float64) @ way))
     return bool(turned < ACROSS and (other @ way).max() >= JAW * (jaw @ way).max())
+
+
+def _turns_far(structure: Structure, joint: Any) -> bool:
+    """Whether a joint turns farther than jaws do; not if all joints before it have its range."""
+    ranges, own = [_range(each) for each in structure.path(joint.child)], _range(joint)
+    return HALF_TURN < own < math.inf and not np.allclose(ranges, own)
+
+
+def _range(joint: Any) -> float:
+    """How far a joint turns or slides, rad or m."""
+    if joint.type == "continuous":
+        return math.inf
+    return float(joint.limit.upper) - float(joint.limit.lower)
 
 
 def _depth(structure: Structure, joint: Any) -> int:

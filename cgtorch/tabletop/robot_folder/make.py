@@ -66,7 +66,8 @@ def make_robot_folder(
     RobotError if the URDF, the SRDF or a collision mesh cannot be read, no arm is found, or a wish
     cannot be met; RunError if the folder exists or cannot be written. Then nothing is written.
     """
-    read = checked_urdf(urdf, read_urdf(urdf))
+    mended = list[str]()
+    read = checked_urdf(urdf, read_urdf(urdf, mended))
     srdf = srdf or srdf_beside(urdf)
     semantics = Semantics() if srdf is None else read_srdf(srdf, read)
     plain, meshes = without_meshes(read, package_places(packages))
@@ -89,7 +90,7 @@ def make_robot_folder(
         robot,
         meshes,
         inertials,
-        (*semantics.notes, *notes, *proposal.notes),
+        (*semantics.notes, *mended, *notes, *proposal.notes),
         reached(robot, wishes.stand),
     )
 

@@ -12,6 +12,7 @@ from cgtorch.tabletop.robot_folder.structure import Structure
 
 DENSITY = 500.0  # kg/m³ of a link's box whose mass is not known
 SMALL = 0.03  # m: sides of the box of a link without shapes
+FAR_OUT = 1000  # times the largest moment that a link's mass can have within its shapes
 UNBALANCED = 1.01  # of one moment of inertia to the sum of the two others
 
 
@@ -65,7 +66,11 @@ def sound_inertials(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
         and not any(_mass(structure, n) for n in structure.rigid(joint.child))
     }
     links = urdf.model.robot.links
-    odd = (link for link in links if inertial_problem(link) or _unbalanced(link))
+    odd = (
+        link
+        for link in links
+        if inertial_problem(link) or _unbalanced(link) or _far_out(structure, link)
+    )
     unsound = {*massless, *(link.name for link in odd)}
     if not unsound:
         return urdf, ()
@@ -90,6 +95,16 @@ def _unbalanced(link: Any) -> bool:
         return False
     low, middle, high = np.linalg.eigvalsh(link.inertial.inertia)
     return bool(high > UNBALANCED * (low + middle))
+
+
+def _far_out(structure: Structure, link: Any) -> bool:
+    """Whether a link's moments are those of a mass far outside its shapes, as in a wrong unit."""
+    points, mass = structure.seen([link.name], link.name), _mass(structure, link.name)
+    if not len(points) or mass <= 0 or link.inertial.inertia is None:
+        return False
+    centre = np.zeros(3) if link.inertial.origin is None else link.inertial.origin[:3, 3]
+    most = mass * float((np.linalg.norm(points - centre, axis=1) ** 2).max())
+    return bool(np.linalg.eigvalsh(link.inertial.inertia)[-1] > FAR_OUT * most)
 
 
 def _inertial_of_box(structure: Structure, link: str) -> Any:

@@ -102,6 +102,12 @@ def test_a_joint_of_an_arm_is_at_home_within_its_limits(
         (-0.1, (1, 1, 1), "the mass -0.1 kg"),
         (1.0, (-1e-3, 1, 1), "an inertia of -0.001 kg m² about one of its axes"),
         (1.0, (-0.9e-6, 1, 1), ""),  # which is rounding
+        (1.0, (1, 1, 1e6), ""),
+        (
+            1.0,
+            (1, 1, 1.1e6),
+            "an inertia of 1.1e+06 kg m² about one of its axes, which is above 1e+06",
+        ),
         (1.0, (-0.9e-12, 0, 0), ""),
         (1.0, (-1.1e-12, 0, 0), "an inertia of -1.1e-12 kg m² about one of its axes"),
     ],

@@ -144,6 +144,21 @@ def test_a_jaw_closes_against_its_hand(tmp_path, shapes, axis, wide, jaw):
     assert found == ({"hand": 6} if jaw else {"jaw": 7})
 
 
+@pytest.mark.parametrize(("end", "others", "jaw"), [(1.58, 1, True), (1.6, 1, False), (3, 3, True)])
+def test_a_jaw_turns_half_a_turn_at_most(tmp_path, end, others, jaw):
+    """What turns farther is a wrist, unless all joints have that range, which then says nothing."""
+    limit = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
+
+    def limited(parts, most):
+        return parts.replace(LIMIT, limit.format(-most, most))
+
+    hand = link("hand", box() + box("0.02 0.02 0.3", "-0.03 0 0.15")) + joint("hand", "arm4")
+    last = link("jaw", box("0.02 0.02 0.1", "0.01 0 0.06")) + joint("jaw", "hand", axis="0 1 0")
+    rest = limited(chain("arm", 5, "base", first="0 0 1") + hand, others)
+    found = arms(structure_of(tmp_path, BASE, rest, limited(last, end)))
+    assert found == ({"hand": 6} if jaw else {"jaw": 7})
+
+
 def test_a_camera_at_an_arm_and_joints_that_follow_change_nothing(tmp_path):
     arm = chain("arm", 6, "base", first="0 0 1")
     camera = chain("camera", 2, "arm3", "0 0 0.2", "0.1 0 0"), fingers("hand", "arm5")
@@ -260,6 +275,18 @@ def test_a_turn_and_a_slide_drive_a_base_too(tmp_path):
     )  # fmt: skip
     found = propose(structure_of(tmp_path, *drive, BASE, chain("arm", 6, "base")).urdf, Wishes())
     assert [arm.base_link for arm in found.words.arms] == ["base"]
+
+
+@pytest.mark.parametrize("kind", ["planar", "floating"])
+def test_a_joint_that_is_free_drives_a_base_unless_something_hangs_beside_it(tmp_path, kind):
+    free = link("odom", "") + joint("base", "odom", "0 0 0", kind=kind, more="")
+    parts = free, BASE, chain("arm", 6, "base")
+    found = propose(structure_of(tmp_path, *parts).urdf, Wishes())
+    assert found.words.base_frame == "base"
+    assert any(note.startswith("base_joint is taken for how the base") for note in found.notes)
+    beside = link("beside", "") + joint("beside", "odom", kind="fixed", more="")
+    found = propose(structure_of(tmp_path, *parts, beside).urdf, Wishes())
+    assert found.words.base_frame == "odom"
 
 
 def test_what_is_no_arm_is_told(tmp_path):

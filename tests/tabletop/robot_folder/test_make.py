@@ -9,6 +9,7 @@ import mesh_robot
 import numpy as np
 import pytest
 import torch
+from lxml import etree
 from matplotlib.colors import to_hex
 
 from cgtorch.ground.errors import RobotError, RunError
@@ -17,7 +18,7 @@ from cgtorch.tabletop.kinematics import graspable, load_robot, load_urdf
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription
 from cgtorch.tabletop.kinematics.fitted import MeshFit
 from cgtorch.tabletop.kinematics.shapes import Fit, Shape
-from cgtorch.tabletop.kinematics.urdf import inertial_problem
+from cgtorch.tabletop.kinematics.urdf import inertial_problem, read_urdf
 from cgtorch.tabletop.robot_folder import make
 from cgtorch.tabletop.robot_folder.make import (
     ARMS,
@@ -41,6 +42,18 @@ def urdf(tmp_path):
 
 def listing(folder):
     return sorted(path.name for path in folder.iterdir())
+
+
+def test_limits_in_the_wrong_order_are_turned_round_and_told(urdf, tmp_path):
+    before = etree.tostring(read_urdf(urdf))
+    text = urdf.read_text()
+    urdf.write_text(text.replace('lower="-0.6" upper="1.4"', 'lower="1.4" upper="-0.6"'))
+    with pytest.raises(RobotError, match="give lower <= upper"):
+        read_urdf(urdf)
+    notes = []
+    assert etree.tostring(read_urdf(urdf, notes)) == before
+    assert notes == ["joint 'lift_joint' has the limits (1.4, -0.6), which are turned round"]
+    assert notes[0] in make_robot_folder(urdf, tmp_path / "mine").notes
 
 
 def test_a_folder_is_made_and_serves_without_the_meshes(urdf, tmp_path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from small_urdfs import box, chain, joint, link, urdf_of
 
+from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
 from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf, read_urdf
 from cgtorch.tabletop.robot_folder.solid import (
@@ -86,6 +87,28 @@ def test_a_moment_is_no_more_than_the_sum_of_the_others() -> None:
     assert not unbalanced(0.0, 0.0, 0.0)
     assert not _unbalanced(SimpleNamespace(inertial=None))
     assert not _unbalanced(SimpleNamespace(inertial=SimpleNamespace(inertia=None)))
+
+
+def test_moments_of_a_wrong_unit_are_replaced(tmp_path: Path) -> None:
+    """Those of a mass that would be far outside the shapes of its link, or beyond all bounds."""
+    within = 0.1**2 + 0.2**2 + 0.3**2
+    moments = {"a": 990 * within, "b": 1010 * within, "c": 2e6, "d": 1e5}
+    parts = [
+        link(name, ("" if name == "d" else box("0.2 0.4 0.6")) + inertial(1.0, (x, x, x)))
+        + joint(name, "base")
+        for name, x in moments.items()
+    ]
+    urdf = urdf_with(tmp_path, BASE, *parts)
+    found, names = sound_inertials(urdf)
+    assert names == ("b", "c")
+    for name in names:
+        assert found.link(name).inertial.mass == 1.0
+        moment = found.link(name).inertial.inertia[0, 0]
+        assert moment == pytest.approx(1 / 12 * (0.4**2 + 0.6**2))
+    with pytest.raises(
+        RobotError, match=r"'c' has an inertia of 2e\+06 kg m² .* above 1e\+06: cor"
+    ):
+        load_urdf(urdf.path)
 
 
 SEEN = box("0.1 0.2 0.3", "1 2 3", "visual")
