@@ -17,9 +17,10 @@ from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
 from cgtorch.tabletop.kinematics.urdf import MOST, REASON, one_line, parsed
 
-KINDS = (".stl", ".dae", ".obj")
+KINDS = (".stl", ".dae", ".obj", ".ply")
 MAX_BYTES = 32 * 2**20
 MAX_TRIANGLES = 500_000
+MAX_LINES = 1_000_000  # of a PLY; each is an object of a hundred bytes
 MAX_TAGS = 400_000  # of a DAE; each is an object of a hundred bytes or more
 MAX_INSTANCES = 10_000  # of a DAE's nodes, which may stand for one another
 _REFERENCES = "{*}instance_node", "{*}instance_geometry"
@@ -43,6 +44,8 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
     data, unit = read_bytes(path, MAX_BYTES, RobotError), 1.0
     if kind == ".obj":
         _check_corners(data, where)
+    if kind == ".ply" and data.count(b"\n") > MAX_LINES:
+        raise RobotError(f"{where} has more than {MAX_LINES} lines: write it as a binary PLY")
     if kind == ".dae":
         data, unit = _checked_collada(data, where)
     try:

@@ -16,6 +16,7 @@ from cgtorch.tabletop.kinematics import meshes
 from cgtorch.tabletop.kinematics.meshes import file_named, package_places, read_mesh
 
 BOX = trimesh.creation.box((0.3, 0.2, 0.1))
+PLY = BOX.export(file_type="ply")[:-1]
 
 
 def refused(path, data):
@@ -28,10 +29,20 @@ def refused(path, data):
     return message
 
 
-@pytest.mark.parametrize("name", ["box.stl", "BOX.STL", "text.stl", "box.obj", "box.dae"])
-def test_each_format_and_its_scale(tmp_path, name):
-    kind = "stl_ascii" if name == "text.stl" else name[-3:].lower()
-    data = BOX.export(file_type=kind)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("box.stl", {}),
+        ("BOX.STL", {}),
+        ("text.stl", {"file_type": "stl_ascii"}),
+        ("box.obj", {}),
+        ("box.dae", {}),
+        ("box.ply", {}),
+        ("text.ply", {"encoding": "ascii"}),
+    ],
+)
+def test_each_format_and_its_scale(tmp_path, name, options):
+    data = BOX.export(**{"file_type": name[-3:].lower(), **options})
     (tmp_path / name).write_bytes(data if isinstance(data, bytes) else data.encode())
     mesh = read_mesh(tmp_path / name, (2.0, 1.0, -0.5))
     np.testing.assert_allclose(mesh.extents, [0.6, 0.2, 0.05], atol=1e-7)
@@ -105,7 +116,10 @@ def zipped():
         ("a.dae", zipped(), "not well-formed XML"),
         ("a.dae", COLLADA.replace("<asset/>", '<asset><unit meter="0"/></asset>').format(""),
          "unit '0' m"),
-        ("a.ply", b"ply", "none of .stl, .dae, .obj"),
+        ("a.ply", b"ply", "cannot be read"),
+        ("a.ply", PLY, "cannot be read"),
+        ("a.ply", PLY.replace(b"element face 12", b"element face 9000000000000"), "cannot be read"),
+        ("a.glb", b"glTF", "none of .stl, .dae, .obj, .ply"),
         ("a", b"", "none of .stl"),
     ],
 )  # fmt: skip
@@ -160,6 +174,7 @@ LARGE = {
     "lines.obj": ("v 0 0 0\n" * 3 + "f" + " 1 2 3 \\\n" * 3_000_000, "corners: give from"),
     "faces.obj": ("v 0 0 0\n" * 3 + "f 1 2 3\n" * 4_000_000, "corners: give from 1 to 500000"),
     "tags.dae": (COLLADA.format("<a/>" * 7_000_000), "more than 400000 elements"),
+    "lines.ply": ("ply\n" + "1\n" * 16_000_000, "more than 1000000 lines"),
     "a.stl": ("\0" * 80 + "\xc0\x27\x09\0" + "\0" * 50 * 600_000, "600000 tri"),
 }
 READ = """
