@@ -21,12 +21,11 @@ def better(holder: Holder | None, tuning: Tuning, goes_on: bool) -> bool:
     """Whether the latest means of a tuning decide, and are better than the holder.
 
     Those of a rival have to be better by a standard error of both, as it begins anew. Where what
-    was tuned before `goes_on`, it tends to become better, and the holder was chosen where it was
-    lucky. So it is enough to be no worse by more than that error.
+    was tuned before `goes_on`, it tends to become better, so that as good is enough.
     """
     if holder is None or not decide(holder, tuning):
         return False
     trail = torch.tensor(tuning.trail, dtype=torch.float64)
     error = math.hypot(holder.error, float(trail.std()) / math.sqrt(TRAIL))
-    least = holder.mean - error if goes_on else holder.mean + error
+    least = holder.mean if goes_on else holder.mean + error
     return float(trail.mean()) >= least
