@@ -99,8 +99,8 @@ def command(urdf: Path, output: Path, package_path: tuple[Path, ...], **rest: An
 
     The folder contains the URDF with simple shapes in place of meshes (robot.urdf), a proposed
     description (robot.json), the shapes fitted to each mesh (shapes.json), and a picture
-    (robot.png). Meshes may be STL, DAE, OBJ or PLY files. Check the picture and the printed summary, and
-    correct the proposal with options.
+    (robot.png). Meshes may be STL, DAE, OBJ or PLY files. Check the picture and the printed
+    summary, and correct the proposal with options.
     """
     if output.exists():
         raise RunError(f"{str(output)!r} exists; choose another --output")

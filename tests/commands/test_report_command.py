@@ -18,17 +18,15 @@ def test_one_file_is_written_and_replaced_only_when_asked(shell: Shell, tmp_path
     folder = thinned(tmp_path / "run", "S0", models=False, generations=False)
     before, page = listing(tmp_path), tmp_path / "page.html"
     command = (REPORT, "run", "--output", "page.html")
-    ended = shell.does(*command)
+    page.write_text("precious")
+    assert "'page.html' exists; choose another --output or add --force" in shell.refuses(*command)
+    assert page.read_text() == "precious"
+    ended = shell.does(*command, "--force")
     data = page.read_bytes()
     assert (ended.err, ended.out) == ("", f"run as a page: page.html, {len(data)} bytes\n")
     assert listing(tmp_path) == before | {"page.html"}
     run = read_run(folder)
     assert data == report_page(run, explained(run))
-    page.write_text("precious")
-    assert "'page.html' exists; choose another --output or add --force" in shell.refuses(*command)
-    assert page.read_text() == "precious"
-    shell.does(*command, "--force")
-    assert page.read_bytes() == data
 
 
 def test_a_run_that_was_interrupted(shell: Shell, tmp_path: Path, trained: Trained) -> None:

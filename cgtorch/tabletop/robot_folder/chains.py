@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from trimesh.transformations import rotation_matrix
 
 from cgtorch.tabletop.robot_folder.structure import Structure
 
@@ -22,11 +24,14 @@ ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on th
 FINGERS = ((9, 0.2), (4, 0.3))  # the most joints of a finger, and how far it reaches at most, m
 HALF_TURN = 3.17  # rad that a jaw turns at most, with some room
 JAW = 0.6  # of the reach of a jaw, that of what it closes against
+OPEN = 0.8  # rad by which a jaw may be open at rest
 ASIDE = 0.2  # of its reach, how far its middle is from its axis at least
 ACROSS = 0.5  # cosine of its axis to the way to its tip
 DOWN = 0.6  # of the reach of a leg, how far below its begin the floor is
 NEAR = 0.5  # of the farthest reach of a chain, that of one that is no arm
 UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
+
+Array = npt.NDArray[np.float64]
 
 ARM, LEG, HEAD, SHORT, CLOSE, BRANCH = (
     "arm", "a leg", "without fingers, which others have", "too few joints", "its end is close",
@@ -190,9 +195,18 @@ def _is_jaw(structure: Structure, link: str, joint: Any) -> bool:
     aside = float(np.linalg.norm(middle))
     if aside < ASIDE * float(np.linalg.norm(jaw, axis=1).max()):
         return False  # it lies around its axis
-    way = middle / aside
-    turned = abs(float(pose[:3, :3] @ np.asarray(joint.axis, dtype=np.float64) @ way))
-    return bool(turned < ACROSS and (other @ way).max() >= JAW * (jaw @ way).max())
+    way, axis = middle / aside, pose[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
+    reach = max(float((other @ closed).max()) for closed in _closed(joint, axis, way))
+    return bool(abs(float(axis @ way)) < ACROSS and reach >= JAW * (jaw @ way).max())
+
+
+def _closed(joint: Any, axis: Array, way: Array) -> list[Array]:
+    """(3,) the ways to the tip of a jaw, which may be open in its rest position."""
+    if joint.type != "revolute":
+        return [way]
+    low, high = float(joint.limit.lower), float(joint.limit.upper)
+    turns = (max(-OPEN, min(0.0, low)), 0.0, min(OPEN, max(0.0, high)))
+    return [rotation_matrix(turn, axis)[:3, :3] @ way for turn in turns]
 
 
 def _turns_far(structure: Structure, joint: Any) -> bool:

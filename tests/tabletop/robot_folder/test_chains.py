@@ -159,6 +159,27 @@ def test_a_jaw_turns_half_a_turn_at_most(tmp_path, end, others, jaw):
     assert found == ({"hand": 6} if jaw else {"jaw": 7})
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "kind", "jaw"),
+    [
+        (-1, 1, "revolute", True),
+        (-1, 0, "revolute", True),
+        (0, 1, "revolute", False),  # it opens further only
+        (-0.4, 1, "revolute", False),  # it cannot close
+        (-1, 1, "prismatic", False),
+        (0.1, 1, "revolute", False),  # its rest position is beyond its limits
+    ],
+)
+def test_a_jaw_may_be_open_at_rest(tmp_path, low, high, kind, jaw):
+    """By 45 degrees, where the finger of the hand reaches too little towards its tip."""
+    limit = f'<limit lower="{low}" upper="{high}" effort="1" velocity="1"/>'
+    hand = link("hand", box() + box("0.02 0.02 0.12", "-0.03 0 0.07")) + joint("hand", "arm4")
+    open_at = joint("jaw", "hand", "0 0 0.05", "0 1 0", kind, limit)
+    last = link("jaw", box("0.06 0.02 0.06", "0.05 0 0.05")) + open_at
+    found = arms(structure_of(tmp_path, BASE, chain("arm", 5, "base", first="0 0 1"), hand, last))
+    assert found == ({"hand": 6} if jaw else {"jaw": 7})
+
+
 def test_a_camera_at_an_arm_and_joints_that_follow_change_nothing(tmp_path):
     arm = chain("arm", 6, "base", first="0 0 1")
     camera = chain("camera", 2, "arm3", "0 0 0.2", "0.1 0 0"), fingers("hand", "arm5")
