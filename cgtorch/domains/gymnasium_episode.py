@@ -60,7 +60,8 @@ class Episode:
         seen, gained, *ends, info = self._asked("step", lambda: self.environment.step(action))
         self.keys.append((self.keys[-1] * PRIME + crc32(control)) % KEYS)
         try:
-            reward, over = float(gained), sum(map(float, ends)) > 0
+            # Unlike `float`, this takes no text.
+            reward, over = math.fsum((gained,)), math.fsum(ends) > 0
         except (TypeError, ValueError):
             said = kind((gained, *ends))
             raise WorldError(

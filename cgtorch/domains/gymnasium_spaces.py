@@ -143,8 +143,8 @@ def percepts_of(space: Any, patterns: Sequence[str], environment: str) -> Percep
     columns = sorted(taken) if patterns else list(range(len(names)))
     if not columns:
         raise DomainError(
-            f"environment {environment!r} has observations {space!s:.200}; only numbers can be "
-            "percepts"
+            f"environment {environment!r} has observations {space!s:.200}; a percept is at least "
+            "one number"
         )
     return Percepts(
         fields=tuple(Field(names[i][1]) for i in columns),

@@ -140,6 +140,8 @@ def later(change: Any) -> Change:
             {"reset": raising(KeyError("no map"))},
             r"in reset.* raised KeyError: 'no map' in line",
         ),
+        ({"reward": lambda line: "1"}, r"as \(a str, a bool, a bool\); Gymnasium expects a number"),
+        ({"over": lambda line: "0"}, r"as \(a float, a str, a bool\); Gymnasium expects a number"),
         ({"reward": raising(SystemExit(3))}, "in step 1 .* raised SystemExit: 3 in line"),
         ({"seen": raising(TypeError("a text"))}, "TypeError: a text in line .*; correct it there"),
     ],

@@ -134,10 +134,15 @@ def test_what_has_no_numbers_is_left_out_and_told() -> None:
     assert ("Remark", remarks_of(domain)[0]) in domain.pictures(domain).about()
 
 
+def test_a_box_without_numbers_is_no_percept() -> None:
+    with pytest.raises(DomainError, match=r"observations Box\(.*\(0,\).*; a percept is at least"):
+        percepts_of(spaces.Box(-1, 1, (0,)), (), "Empty-v0")
+
+
 @pytest.mark.parametrize(
     ("name", "percepts", "message"),
     [
-        (MUTE, (), "has observations Text.*; only numbers can be percepts"),
+        (MUTE, (), "has observations Text.*; a percept is at least one number"),
         (TALK, (), r"has word in Text.*; only numbers and choices can be controls"),
         (GOAL, ("mission",), r"percepts 'mission': mission of environment .* is Text\(.*leave it"),
         (GOAL, ("gaol",), "percepts 'gaol' matches nothing .* it has observation, achieved"),

@@ -41,7 +41,13 @@ from cgtorch.improvement.trial import try_skill
 from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
 
 MEMBERS = [replace(nearly(ahead), name=f"ahead {ahead}") for ahead in (0.45, 0.6)]
-LIMITED = ["actions", "motions", "tests", "episodes", "looks"]
+LIMITED = [
+    "actions",
+    "tests",
+    "looks",
+    pytest.param("motions", marks=pytest.mark.hostile),
+    pytest.param("episodes", marks=pytest.mark.hostile),
+]
 EARLIER = nearly(0.25)
 MANY = random_scenarios("left", 60, seeded(0))
 _DONE = try_skill(EARLIER, world_of(MANY)).succeeded

@@ -158,7 +158,8 @@ def test_chance_is_measured_and_then_means_count(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("chance", "rounds"), [("yes", 1), ("no", 2)])
 def test_the_user_may_overrule_it(tmp_path: Path, chance: str, rounds: int) -> None:
-    run, events = made(tmp_path / "run", Tombola(), chance=chance), list[Event]()
+    few = made(tmp_path / "run", Tombola(), chance=chance, generations=3, attempts=2)
+    run, events = few, list[Event]()
     train_until(Training(run, events.append, quietly), Goal(target=0.95, rounds=rounds))
     assert not of(events, ChanceFound)
     assert bool(of(events, MeanTested)) == (chance == "yes")
