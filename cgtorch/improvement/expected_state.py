@@ -171,7 +171,7 @@ def state_from_tensors(
     """
     with damage():
         scenarios, reliability = tensors["need"].tolist()
-        most = len(tensors)  # as each rival has several
+        most = len(tensors)  # there are fewer rivals than tensors
         rivals = [_from_tensors(f"rival {i}", tensors, actions) for i in range(most)]
         state = State(
             need=Need(int(scenarios), reliability),
