@@ -143,13 +143,13 @@ def made(folder: Path, domain: Tombola, **settings: Any) -> StoredRun:
 def test_chance_is_measured_and_then_means_count(tmp_path: Path) -> None:
     """The first round still believes in W, which keeps what luck has solved."""
     run, events = made(tmp_path / "run", Tombola()), list[Event]()
-    results = train_until(Training(run, events.append, quietly), Goal(target=0.95, rounds=3))
+    results = train_until(Training(run, events.append, quietly), Goal(target=0.95, rounds=2))
     (found,) = of(events, ChanceFound)
     assert found.tried >= 30
     assert found.succeeded < 0.8 * found.tried
     after = events[events.index(found) :]
     assert len(of(after, MeanTested)) > 3
-    assert [result["mean_holds"] for result in results][-2:] == [False, False]
+    assert results[-1]["mean_holds"] is False
     last = results[-1]["fresh"]
     assert last["succeeded"] / last["tried"] > 0.5  # where one that stakes nothing wins 0.35
     assert last["tried"] > EPISODES  # as a search has played many more
