@@ -17,6 +17,7 @@ from cgtorch.manipulation.film import ArmPictures
 from cgtorch.manipulation.primitives import Wait, primitives
 from cgtorch.manipulation.settings import WITH_ID, FetchSettings, ManipulationSettings
 from cgtorch.manipulation.simulator import Simulator
+from cgtorch.manipulation.strike import Strike
 from cgtorch.manipulation.world import CONTROL, ArmWorld, Simulators, Starts
 
 MOST_SEEDS = 2**31
@@ -138,6 +139,14 @@ class Fetch(Manipulation):
     named = staticmethod(fetch.tasks_of)
 
     def primitives(self) -> dict[str, Any]:
-        """See `Manipulation.primitives`: shorter ones, as a low-level step is longer."""
+        """See `Manipulation.primitives`: shorter ones, as a low-level step is longer.
+
+        Only FetchSlide has an object that slides on, so only it has `Strike`.
+        """
         pace = 1 / 3
-        return {**primitives(self.arm, pace), "Wait": Wait(self.arm, "object", pace)}
+        made = {**primitives(self.arm, pace), "Wait": Wait(self.arm, "object", pace)}
+        return {**made, "Strike": Strike(self.arm, "object", pace)} if self._slides else made
+
+    @property
+    def _slides(self) -> bool:
+        return fetch.SLIDE in self.tasks

@@ -37,7 +37,7 @@ SCRIPTS: Mapping[str, str] = {
     "basketball-v3": "Pick Place Open",
     "FetchReach-v4": "ReachGoal Wait",
     "FetchPush-v4": "PushTo Wait",
-    "FetchSlide-v4": "Hit Wait",
+    "FetchSlide-v4": "Strike Wait",
     "FetchPickAndPlace-v4": "Pick Place Wait",
 }
 
