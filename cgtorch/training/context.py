@@ -47,7 +47,7 @@ scenario, and in one where each trial takes its time. A stage there asks for hal
 other stages follow."""
 STRUCTURAL = (0.5, 0.3, 0.15, 0.1, 0.3, 0.3, 0.2, 0.5)
 """The first strategy there: nodes are added and replaced three times as often as elsewhere."""
-NEW, SMALL, ROUNDS = 2, (3, 8), 3
+NEW, SMALL, ROUNDS = 2, (3, 8), 16
 """Where low-level steps are counted: one individual in so many is new in each generation, the
 fewest and most nodes of first graphs, and rounds of tournaments, since lexicase selection on one
 scenario would leave one parent."""
