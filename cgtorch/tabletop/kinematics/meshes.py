@@ -15,9 +15,10 @@ from lxml import etree
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
+from cgtorch.tabletop.kinematics.glb import glb_triangles
 from cgtorch.tabletop.kinematics.urdf import MOST, REASON, one_line, parsed
 
-KINDS = (".stl", ".dae", ".obj", ".ply")
+KINDS = (".stl", ".dae", ".obj", ".ply", ".glb")
 MAX_BYTES = 32 * 2**20
 MAX_TRIANGLES = 500_000
 MAX_LINES = 1_000_000  # of a PLY; each is an object of a hundred bytes
@@ -32,8 +33,8 @@ _LISTED = 8  # places that an error names
 def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.Trimesh:
     """The triangles of a mesh file as one mesh, in m, scaled along x, y and z.
 
-    The unit of length of a DAE is used and its upward axis is not, as in ROS. Neither materials nor
-    other files are read.
+    The unit of length of a DAE is used; its upward axis and that of a GLB are not, as in ROS.
+    Neither materials nor other files are read.
 
     RobotError if it is of another kind, cannot be read, is too large, or has no triangle or a
     number that is not finite.
@@ -49,11 +50,7 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
     if kind == ".dae":
         data, unit = _checked_collada(data, where)
     try:
-        mesh = trimesh.load(
-            io.BytesIO(data), file_type=kind[1:], force="mesh", process=False, skip_materials=True
-        )
-        faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
-        vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+        vertices, faces = _triangles(data, kind)
         used, index = np.unique(faces, return_inverse=True)
         vertices = vertices[used]
     except Exception as error:  # trimesh lets through whatever its parts raise
@@ -72,6 +69,17 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
             f"than {MOST:.0e}: correct it"
         )
     return trimesh.Trimesh(vertices, index.reshape(-1, 3), process=False)
+
+
+def _triangles(data: bytes, kind: str) -> tuple[Any, Any]:
+    """Vertices (V, 3) and faces (F, 3) of a file of a kind."""
+    if kind == ".glb":
+        return glb_triangles(data, MAX_TRIANGLES)
+    mesh = trimesh.load(
+        io.BytesIO(data), file_type=kind[1:], force="mesh", process=False, skip_materials=True
+    )
+    faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    return np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3), faces
 
 
 def _check_corners(data: bytes, where: str) -> None:

@@ -261,7 +261,7 @@ def _legs(structure: Structure, long: list[Chain], every: list[Chain]) -> set[st
     if len(below) > 1 or (below and len(long) - len(stand) > 1):
         return below | _from_base(long)
     hips = {chain.link for chain in stand if chain.shared}
-    others = [chain for chain in long if not chain.shared]
+    others = [chain for chain in every if not chain.shared]
     if len(hips) > 1 and others and not below:
         return hips
     return _from_base(long)

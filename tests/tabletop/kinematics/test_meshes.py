@@ -38,6 +38,7 @@ def refused(path, data):
         ("box.obj", {}),
         ("box.dae", {}),
         ("box.ply", {}),
+        ("box.glb", {}),
         ("text.ply", {"encoding": "ascii"}),
     ],
 )
@@ -119,7 +120,8 @@ def zipped():
         ("a.ply", b"ply", "cannot be read"),
         ("a.ply", PLY, "cannot be read"),
         ("a.ply", PLY.replace(b"element face 12", b"element face 9000000000000"), "cannot be read"),
-        ("a.glb", b"glTF", "none of .stl, .dae, .obj, .ply"),
+        ("a.glb", b"glTF", "cannot be read"),
+        ("a.gltf", b"{}", "none of .stl, .dae, .obj, .ply, .glb"),
         ("a", b"", "none of .stl"),
     ],
 )  # fmt: skip
