@@ -11,6 +11,7 @@ from cgtorch.ground.errors import RobotError
 
 LIMITED = ("revolute", "prismatic")
 TRIPLES = {"xyz", "rpy", "size", "scale"}
+SIZES = ("size", "radius", "length")
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
 
 
@@ -19,7 +20,8 @@ def completed(root: Any, where: str) -> None:
 
     A capsule becomes a cylinder and two spheres, and commas between numbers become blanks. A limit
     without a number is 0, as the format says, an effort or velocity of 0 is no limit, and a robot
-    without a name is called robot. What is no colour, as 255 in place of 1, is left out.
+    without a name is called robot. What is no colour, as 255 in place of 1, is left out, and so is
+    a shape without any size.
     RobotError for a shape that is none of `SHAPES`.
     """
     root.set("name", root.get("name", "robot"))
@@ -38,6 +40,8 @@ def completed(root: Any, where: str) -> None:
                 )
             if names == ["capsule"]:
                 _replace(part, shapes[0])
+            elif names != ["mesh"] and not any(map(float, _sizes(shapes[0]))):
+                link.remove(part)
     for joint in root.findall("joint"):
         ends = ("lower", "upper") if joint.get("type") in LIMITED else ()
         for limit in joint.findall("limit"):
@@ -45,6 +49,11 @@ def completed(root: Any, where: str) -> None:
                 limit.set(name, limit.get(name, "0"))
     for colour in [each for each in root.iter("color") if not _is_colour(each.get("rgba", ""))]:
         colour.getparent().remove(colour)
+
+
+def _sizes(shape: Any) -> list[str]:
+    """The numbers of a box, cylinder or sphere."""
+    return [part for name in SIZES for part in shape.get(name, "").split()]
 
 
 def _is_colour(text: str) -> bool:

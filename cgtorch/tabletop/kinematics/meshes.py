@@ -25,6 +25,8 @@ MAX_LINES = 1_000_000  # of a PLY; each is an object of a hundred bytes
 MAX_TAGS = 400_000  # of a DAE; each is an object of a hundred bytes or more
 MAX_INSTANCES = 10_000  # of a DAE's nodes, which may stand for one another
 _REFERENCES = "{*}instance_node", "{*}instance_geometry"
+_SLASHES = re.compile(r"^/+")
+_BESIDE = 3  # folders around a URDF in which a package may be
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*", re.ASCII)
 _PACKAGE_BYTES = 1_000_000  # of a package.xml
 _LISTED = 8  # places that an error names
@@ -165,9 +167,9 @@ def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
     """The file that a URDF names: `package://PACKAGE/PATH`, `file://PATH`, or a path.
 
     A package is a folder with its name: in one of the places, up to three levels deep, a place
-    itself, or a folder around the URDF. Any other path is relative to the URDF, and must stay in
-    its folder, its package or one of the places. Only the text of the path is checked; links in a
-    package may lead anywhere, as in a workspace of links.
+    itself, a folder around the URDF, or in one of the three nearest of these. Any other path is
+    relative to the URDF, and must stay in its folder, its package or one of the places. Only the
+    text of the path is checked; links in a package may lead anywhere, as in a workspace of links.
 
     RobotError if there is no such file, or the name leads out of the permitted folders.
     """
@@ -175,7 +177,7 @@ def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
     if not colon:
         return _near(name, name, urdf, places)
     if scheme == "file":
-        return _near(rest, name, urdf, places)
+        return _near(_SLASHES.sub("/", rest), name, urdf, places)
     if scheme != "package":
         raise RobotError(
             f"URDF {str(urdf)!r} names the file {name!r}: give a path, package://PACKAGE/PATH or "
@@ -229,6 +231,7 @@ def _packages(package: str, urdf: Path, places: Sequence[Path]) -> Iterator[Path
     for folder in (*places, *_around(urdf)):
         if folder.name == package or _says(folder) == package:
             yield folder
+    yield from filter(isdir, (folder / package for folder in _around(urdf)[:_BESIDE]))
     for place in filter(isdir, places):
         for depth in ("", "*/", "*/*/"):
             yield from sorted(filter(isdir, place.glob(depth + package)))

@@ -36,6 +36,24 @@ def test_what_is_no_colour_is_left_out(tmp_path, rgba, read_as):
     assert (found if found is None else found.rgba.tolist()) == read_as
 
 
+@pytest.mark.parametrize(
+    ("shape", "kept"),
+    [
+        ('<box size="0 0 0"/>', False),
+        ('<box size="0 0 0.1"/>', True),
+        ('<sphere radius="0.0"/>', False),
+        ('<cylinder radius="0" length="0"/>', False),
+        ('<cylinder radius="0.1" length="0"/>', True),
+        ('<mesh filename="a.stl"/>', True),
+    ],
+)
+def test_a_shape_without_any_size_is_left_out(tmp_path, shape, kept):
+    parts = f"</visual><collision><geometry>{shape}</geometry></collision><visual>"
+    parts += f"<geometry>{shape}</geometry>"
+    link = read(tmp_path, parts).robot.links[0]
+    assert (len(link.collisions), len(link.visuals)) == (kept, 1 + kept)
+
+
 def test_limits_are_nought_where_they_are_not_given(tmp_path):
     def limit(*words):
         found = read(tmp_path, "", *words).joint_map["j"].limit
