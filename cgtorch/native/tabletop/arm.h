@@ -10,10 +10,12 @@
 
 enum { FIXED, REVOLUTE, PRISMATIC };
 
-/* A chain of frames, each relative to the one before and moved by a joint. Poses are rows of (3, 4). */
+/* A chain of frames, each relative to the one before and moved by a joint or by what follows one. Poses are rows
+   of (3, 4). */
 typedef struct {
   const real *offset, *axis;   /* (F, 3, 4), the first in the robot's base; (F, 3) of joints */
   const int64_t *kind, *joint; /* (F,) kind and column of each frame's joint */
+  const real *gain;            /* (F,) how far a unit of the column moves it */
   int64_t frames, joints;
 } Chain;
 
@@ -45,7 +47,7 @@ static void poses_of(const Chain *chain, const real *q, real poses[][12]) {
     real local[12], joint[12];
     const real *offset = chain->offset + f * 12, *here = offset;
     if (chain->kind[f] != FIXED) {
-      moved(chain->kind[f], chain->axis + f * 3, q[chain->joint[f]], joint);
+      moved(chain->kind[f], chain->axis + f * 3, q[chain->joint[f]] * chain->gain[f], joint);
       product(offset, joint, local);
       here = local;
     }

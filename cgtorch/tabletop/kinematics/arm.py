@@ -7,6 +7,7 @@ from typing import Any
 
 import pytorch_kinematics
 import torch
+from lxml import etree
 from torch import Tensor
 
 from cgtorch.tabletop.kinematics.inverse_kinematics import (
@@ -38,13 +39,46 @@ class ChainTable:
         offset: (F, 3, 4) upper rows of poses before a joint moves; the first in the base frame.
         axis: (F, 3) of each frame's joint.
         kind: (F,) long, 0 for a fixed joint, 1 for a revolute, 2 for a prismatic one.
-        joint: (F,) long, the index of the moving joint, or -1.
+        joint: (F,) long, the index of the joint that moves it, or -1: its own, or that it follows.
+        gain: (F,) how far a unit of that joint moves it, 1 unless it follows another.
     """
 
     offset: Tensor
     axis: Tensor
     kind: Tensor
     joint: Tensor
+    gain: Tensor
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """A `pytorch_kinematics.SerialChain` by the n of its m joints that follow no other.
+
+    `gains` (n, m) are how far each of these moves each joint.
+    """
+
+    chain: Any
+    gains: Tensor
+
+    @property
+    def frame_to_idx(self) -> dict[str, int]:
+        """The chain's own."""
+        index: dict[str, int] = self.chain.frame_to_idx
+        return index
+
+    def forward_kinematics_tensor(self, q: Tensor) -> Tensor:
+        """Like the chain's own, at q (B, n)."""
+        frames: Tensor = self.chain.forward_kinematics_tensor(q @ self.gains)
+        return frames
+
+    def forward_kinematics(self, q: Tensor, end_only: bool) -> Any:
+        """Like the chain's own, at q (B, n)."""
+        return self.chain.forward_kinematics(q @ self.gains, end_only=end_only)
+
+    def jacobian(self, q: Tensor, ret_eef_pose: bool = False) -> Any:
+        """(B, 6, n) at q (B, n), and the poses of the end if they are wanted."""
+        every, pose = self.chain.jacobian(q @ self.gains, ret_eef_pose=True)
+        return (every @ self.gains.T, pose) if ret_eef_pose else every @ self.gains.T
 
 
 @dataclass(frozen=True)
@@ -52,7 +86,7 @@ class ArmModel:
     """One arm with batched forward and inverse kinematics.
 
     Attributes:
-        joint_names: The n moving joints, from base to tool.
+        joint_names: The n moving joints that follow no other, from base to tool.
         lower, upper: (n,) limits, the soft ones if the URDF has them; rad or m.
         continuous: (n,) whether a joint is continuous, without limits.
         mount: (4, 4) pose of the arm's base link in the robot's base frame.
@@ -179,9 +213,27 @@ def turned(path: Tensor, turn: Tensor) -> Tensor:
 
 
 def built_chain(xml: bytes, links: tuple[str, str], mount: Tensor) -> tuple[Any, ChainTable]:
-    """The chain of a URDF from a base link to a tip, mounted at a pose (4, 4), and its table."""
-    chain = _serial_chain(xml, links, mount.dtype, mount.device)
-    return chain, _chain_table(chain, mount)
+    """The chain of a URDF from a base link to a tip, mounted at a pose (4, 4), and its table.
+
+    A joint may follow one before it, by an element mimic without an offset.
+    """
+    chain, gains = _serial_chain(xml, links, mount.dtype, mount.device), _gains(xml).to(mount)
+    coupled = chain if len(gains) == len(gains.T) else Coupled(chain, gains)
+    return coupled, _chain_table(chain, gains, mount)
+
+
+def _gains(xml: bytes) -> Tensor:
+    """(n, m) how far each joint that follows no other moves each moving joint."""
+    moving = [each for each in etree.fromstring(xml).iter("joint") if each.get("type") != "fixed"]
+    own = [joint.get("name") for joint in moving if joint.find("mimic") is None]
+    gains = torch.zeros(len(own), len(moving), dtype=torch.float64)
+    for column, joint in enumerate(moving):
+        mimic = joint.find("mimic")
+        if mimic is None:
+            gains[own.index(joint.get("name")), column] = 1.0
+        else:
+            gains[own.index(mimic.get("joint")), column] = float(mimic.get("multiplier"))
+    return gains
 
 
 @lru_cache(maxsize=32)  # a process often reads the same robot from several runs
@@ -193,14 +245,19 @@ def _serial_chain(
     return chain.to(dtype=dtype, device=device)
 
 
-def _chain_table(chain: Any, mount: Tensor) -> ChainTable:
-    """The table of a `pytorch_kinematics.SerialChain` whose base is mounted at a pose (4, 4)."""
+def _chain_table(chain: Any, gains: Tensor, mount: Tensor) -> ChainTable:
+    """The table of a `pytorch_kinematics.SerialChain` whose base is mounted at a pose (4, 4).
+
+    `gains` (n, m) are those of its joints.
+    """
     link, joint = (
         torch.stack([torch.eye(4).to(mount) if pose is None else pose.view(4, 4) for pose in poses])
         for poses in (chain.link_offsets, chain.joint_offsets)
     )
     offset = link @ joint
     offset[0] = mount @ offset[0]
-    kind, joint = chain.joint_type_indices, chain.joint_indices
-    axis = chain.axes[joint.clamp_min(0)] * (kind > 0)[:, None]
-    return ChainTable(offset[:, :3].contiguous(), axis, kind, joint)
+    kind, column = chain.joint_type_indices, chain.joint_indices
+    axis = chain.axes[column.clamp_min(0)] * (kind > 0)[:, None]
+    joint = torch.where(kind > 0, gains.abs().argmax(0)[column], -1)
+    gain = gains.sum(0)[column.clamp_min(0)]
+    return ChainTable(offset[:, :3].contiguous(), axis, kind, joint, gain)

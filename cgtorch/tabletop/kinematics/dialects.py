@@ -1,4 +1,4 @@
-"""What URDFs have beyond the format, or leave out: capsules, and limits that are not given."""
+"""What URDFs have beyond the format, or leave out: capsules, colours, limits that are not given."""
 
 import copy
 from typing import Any
@@ -11,6 +11,7 @@ from cgtorch.ground.errors import RobotError
 
 LIMITED = ("revolute", "prismatic")
 TRIPLES = {"xyz", "rpy", "size", "scale"}
+SIZES = ("size", "radius", "length")
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
 
 
@@ -18,7 +19,9 @@ def completed(root: Any, where: str) -> None:
     """Turn a checked tree of elements, in place, into one that every reader understands.
 
     A capsule becomes a cylinder and two spheres, and commas between numbers become blanks. A limit
-    without a number is 0, as the format says, and a robot without a name is called robot.
+    without a number is 0, as the format says, an effort or velocity of 0 is no limit, and a robot
+    without a name is called robot. What is no colour, as 255 in place of 1, is left out, and so is
+    a shape without any size.
     RobotError for a shape that is none of `SHAPES`.
     """
     root.set("name", root.get("name", "robot"))
@@ -37,10 +40,29 @@ def completed(root: Any, where: str) -> None:
                 )
             if names == ["capsule"]:
                 _replace(part, shapes[0])
-    limited = (joint for joint in root.findall("joint") if joint.get("type") in LIMITED)
-    for limit in (each for joint in limited for each in joint.findall("limit")):
-        for name in ("lower", "upper"):
-            limit.set(name, limit.get(name, "0"))
+            elif names != ["mesh"] and not any(map(float, _sizes(shapes[0]))):
+                link.remove(part)
+    for joint in root.findall("joint"):
+        ends = ("lower", "upper") if joint.get("type") in LIMITED else ()
+        for limit in joint.findall("limit"):
+            for name in (*ends, "effort", "velocity"):
+                limit.set(name, limit.get(name, "0"))
+    for colour in [each for each in root.iter("color") if not _is_colour(each.get("rgba", ""))]:
+        colour.getparent().remove(colour)
+
+
+def _sizes(shape: Any) -> list[str]:
+    """The numbers of a box, cylinder or sphere."""
+    return [part for name in SIZES for part in shape.get(name, "").split()]
+
+
+def _is_colour(text: str) -> bool:
+    """Whether a text is four numbers from 0 to 1."""
+    try:
+        values = [float(part) for part in text.split()]
+    except ValueError:
+        return False
+    return len(values) == 4 and all(0 <= value <= 1 for value in values)
 
 
 def _replace(part: Any, shape: Any) -> None:

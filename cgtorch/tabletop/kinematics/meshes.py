@@ -15,15 +15,18 @@ from lxml import etree
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
+from cgtorch.tabletop.kinematics.glb import glb_triangles
 from cgtorch.tabletop.kinematics.urdf import MOST, REASON, one_line, parsed
 
-KINDS = (".stl", ".dae", ".obj", ".ply")
+KINDS = (".stl", ".dae", ".obj", ".ply", ".glb")
 MAX_BYTES = 32 * 2**20
 MAX_TRIANGLES = 500_000
 MAX_LINES = 1_000_000  # of a PLY; each is an object of a hundred bytes
 MAX_TAGS = 400_000  # of a DAE; each is an object of a hundred bytes or more
 MAX_INSTANCES = 10_000  # of a DAE's nodes, which may stand for one another
 _REFERENCES = "{*}instance_node", "{*}instance_geometry"
+_SLASHES = re.compile(r"^/+")
+_BESIDE = 3  # folders around a URDF in which a package may be
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*", re.ASCII)
 _PACKAGE_BYTES = 1_000_000  # of a package.xml
 _LISTED = 8  # places that an error names
@@ -32,8 +35,8 @@ _LISTED = 8  # places that an error names
 def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.Trimesh:
     """The triangles of a mesh file as one mesh, in m, scaled along x, y and z.
 
-    The unit of length of a DAE is used and its upward axis is not, as in ROS. Neither materials nor
-    other files are read.
+    The unit of length of a DAE is used; its upward axis and that of a GLB are not, as in ROS.
+    Neither materials nor other files are read.
 
     RobotError if it is of another kind, cannot be read, is too large, or has no triangle or a
     number that is not finite.
@@ -49,11 +52,7 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
     if kind == ".dae":
         data, unit = _checked_collada(data, where)
     try:
-        mesh = trimesh.load(
-            io.BytesIO(data), file_type=kind[1:], force="mesh", process=False, skip_materials=True
-        )
-        faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
-        vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+        vertices, faces = _triangles(data, kind)
         used, index = np.unique(faces, return_inverse=True)
         vertices = vertices[used]
     except Exception as error:  # trimesh lets through whatever its parts raise
@@ -72,6 +71,17 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
             f"than {MOST:.0e}: correct it"
         )
     return trimesh.Trimesh(vertices, index.reshape(-1, 3), process=False)
+
+
+def _triangles(data: bytes, kind: str) -> tuple[Any, Any]:
+    """Vertices (V, 3) and faces (F, 3) of a file of a kind."""
+    if kind == ".glb":
+        return glb_triangles(data, MAX_TRIANGLES)
+    mesh = trimesh.load(
+        io.BytesIO(data), file_type=kind[1:], force="mesh", process=False, skip_materials=True
+    )
+    faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    return np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3), faces
 
 
 def _check_corners(data: bytes, where: str) -> None:
@@ -157,9 +167,9 @@ def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
     """The file that a URDF names: `package://PACKAGE/PATH`, `file://PATH`, or a path.
 
     A package is a folder with its name: in one of the places, up to three levels deep, a place
-    itself, or a folder around the URDF. Any other path is relative to the URDF, and must stay in
-    its folder, its package or one of the places. Only the text of the path is checked; links in a
-    package may lead anywhere, as in a workspace of links.
+    itself, a folder around the URDF, or in one of the three nearest of these. Any other path is
+    relative to the URDF, and must stay in its folder, its package or one of the places. Only the
+    text of the path is checked; links in a package may lead anywhere, as in a workspace of links.
 
     RobotError if there is no such file, or the name leads out of the permitted folders.
     """
@@ -167,7 +177,7 @@ def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
     if not colon:
         return _near(name, name, urdf, places)
     if scheme == "file":
-        return _near(rest, name, urdf, places)
+        return _near(_SLASHES.sub("/", rest), name, urdf, places)
     if scheme != "package":
         raise RobotError(
             f"URDF {str(urdf)!r} names the file {name!r}: give a path, package://PACKAGE/PATH or "
@@ -221,6 +231,7 @@ def _packages(package: str, urdf: Path, places: Sequence[Path]) -> Iterator[Path
     for folder in (*places, *_around(urdf)):
         if folder.name == package or _says(folder) == package:
             yield folder
+    yield from filter(isdir, (folder / package for folder in _around(urdf)[:_BESIDE]))
     for place in filter(isdir, places):
         for depth in ("", "*/", "*/*/"):
             yield from sorted(filter(isdir, place.glob(depth + package)))

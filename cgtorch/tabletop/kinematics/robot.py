@@ -8,9 +8,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from lxml import etree
 from torch import Tensor
+from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.arm import ArmModel, built_chain
@@ -32,7 +34,7 @@ from cgtorch.tabletop.kinematics.solids import (
     solids_of,
     with_boxed_hand,
 )
-from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, load_urdf
+from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, load_urdf, mimic_of
 
 _TURNS = 3 * math.pi
 
@@ -157,31 +159,34 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
             f"arm {arm.name!r} has no joint between {arm.base_link!r} and {arm.tool_frame!r}: name "
             "the links at both ends of the arm"
         )
-    for joint in moving:
-        if joint.type not in MOVING or joint.mimic is not None:
-            kind = "mimic" if joint.mimic is not None else joint.type
-            follows = "" if joint.mimic is None else f", which follows {joint.mimic.joint!r}"
+    own = [joint for joint in moving if joint.mimic is None]
+    for i, joint in enumerate(moving):
+        before = [None, *(each.name for each in moving[:i] if each.mimic is None)]
+        leader = None if joint.mimic is None else joint.mimic.joint
+        if joint.type not in MOVING or leader not in before:
+            kind = "mimic" if leader is not None else joint.type
+            follows = "" if leader is None else f", which follows {leader!r}"
             raise RobotError(
                 f"arm {arm.name!r} has the {kind} joint {joint.name!r}{follows}: use an arm of "
-                "revolute, continuous and prismatic joints that follow no other, by a base link "
-                "after this joint or a tool frame before it"
+                "revolute, continuous and prismatic joints that follow none but one before them in "
+                "the arm, by a base link after this joint or a tool frame before it"
             )
-    limits = torch.tensor([_limits(joint) for joint in moving], dtype=torch.float64)
+    limits = torch.tensor([_limits(joint) for joint in own], dtype=torch.float64)
     xml, links = _chain_xml(urdf, joints), (arm.base_link, arm.tool_frame)
     mount = _transform(urdf, arm.base_link, words.base_frame)
     chain, table = built_chain(xml, links, mount)
     solids, solid_links = _solids(urdf, words, arm, moving, chain.frame_to_idx)
     return ArmModel(
         name=arm.name,
-        joint_names=tuple(joint.name for joint in moving),
+        joint_names=tuple(joint.name for joint in own),
         lower=limits[:, 0],
         upper=limits[:, 1],
-        continuous=torch.tensor([joint.type == "continuous" for joint in moving]),
+        continuous=torch.tensor([joint.type == "continuous" for joint in own]),
         mount=mount,
         reach=_reach(joints),
         solids=solids,
         solid_links=solid_links,
-        closed_form=spherical_arm(joints, limits),
+        closed_form=spherical_arm(joints, limits) if len(own) == len(moving) else None,
         _xml=xml,
         _links=links,
         _chains={(mount.dtype, mount.device): (chain, table)},
@@ -221,12 +226,31 @@ def _chain_xml(urdf: Urdf, joints: tuple[Any, ...]) -> bytes:
         for tag in ("origin", "parent", "child", "axis"):
             if source.find(tag) is not None:
                 target.append(source.find(tag))
+        if joint.mimic is not None:
+            _add_mimic(target, joint)
         if joint.type != "fixed":
             lower, upper = _limits(joint)
             bounds = {"lower": repr(lower), "upper": repr(upper), "effort": "1", "velocity": "1"}
             etree.SubElement(target, "limit", bounds)
     xml: bytes = etree.tostring(robot)
     return xml
+
+
+def _add_mimic(element: Any, joint: Any) -> None:
+    """Let a joint of an arm follow another, with its offset in its origin."""
+    offset, factor = mimic_of(joint)
+    axis, slides = np.asarray(joint.axis, dtype=np.float64), joint.type == "prismatic"
+    pose = np.eye(4) if joint.origin is None else joint.origin
+    if slides:
+        pose = pose @ transformations.translation_matrix(offset * axis)
+    else:
+        pose = pose @ transformations.rotation_matrix(offset, axis)
+    for old in element.findall("origin"):
+        element.remove(old)
+    turns = transformations.euler_from_matrix(pose, "sxyz")
+    xyz, rpy = (" ".join(repr(float(x)) for x in each) for each in (pose[:3, 3], turns))
+    element.insert(0, etree.Element("origin", xyz=xyz, rpy=rpy))
+    etree.SubElement(element, "mimic", joint=joint.mimic.joint, multiplier=repr(float(factor)))
 
 
 def _transform(urdf: Urdf, link: str, frame: str) -> Tensor:
@@ -252,6 +276,7 @@ def _solids(
 ) -> tuple[Solids, tuple[str, ...]]:
     """The shapes of links that the arm's joints move, including fixed fingers, and their links."""
     rows, names = [], []
+    own = {joint.child for joint in moving if joint.mimic is None}
     for link, pose, carriers in _moved_links(urdf, arm, moving):
         if link.name in words.capsules:
             given = torch.tensor(words.capsules[link.name], dtype=torch.float64).view(-1, 7)
@@ -259,7 +284,9 @@ def _solids(
         else:
             shapes = [solid_of(each, f"link {link.name!r}") for each in link.collisions]
         for at, size in shapes:
-            rows.append((pose @ at, size, frame_index[carriers[0]], len(carriers)))
+            rows.append(
+                (pose @ at, size, frame_index[carriers[0]], len(own.intersection(carriers)))
+            )
             names.append(str(link.name))
     return solids_of(rows), tuple(names)
 

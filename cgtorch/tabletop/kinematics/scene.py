@@ -55,7 +55,8 @@ def scene_of(arm: ArmModel, body: Solids, others: Solids) -> Scene:
     )
     every = own.joined(arm.solids, body, others)
     pairs = _pairs(arm.solids.joints.tolist(), len(body), others.joints.tolist(), n)
-    carried = torch.where(every.frame >= 0, every.joints, 0)  # the joints that move each solid
+    moving = torch.cat([(arm.chain(arm.lower)[1].kind > 0).cumsum(0), torch.zeros(1).long()])
+    carried = moving[every.frame]  # how many joints move each solid, with those that follow others
     apart = [(first, int(carried[second])) for first, second, _ in pairs.tolist()]
     reaches = {each: _reach(arm, every, *each) for each in dict.fromkeys(apart)}
     reach = torch.stack([reaches[each] for each in apart])
@@ -132,9 +133,10 @@ def _reach(arm: ArmModel, solids: Solids, which: int, base: int) -> Tensor:
 
     The first `base` joints do not count, as they move another solid, too. At every revolute joint,
     the links beyond it are assumed to be in one line, with prismatic joints extended. It is 1 for a
-    prismatic joint.
+    prismatic joint. A joint that others follow moves it by these as well.
     """
     chain = arm.chain(arm.lower)[1]
+    moving = (chain.kind > 0).cumsum(0)
     reach = arm.lower.new_zeros(len(arm.joint_names))
     # Points that no joint so far moves against each other, and how far others are from them.
     points, far = _corners(solids, which), float(solids.size[which, 4])
@@ -142,15 +144,16 @@ def _reach(arm: ArmModel, solids: Solids, which: int, base: int) -> Tensor:
         points, far = points.new_zeros(1, 3), float(solids.radius[which])
     for frame in range(int(solids.frame[which]), -1, -1):
         joint, kind, offset = int(chain.joint[frame]), int(chain.kind[frame]), chain.offset[frame]
-        if kind and joint >= base:
+        gain = abs(float(chain.gain[frame]))
+        if kind and moving[frame] > base:
             axis = chain.axis[frame].expand_as(points)
             off = torch.linalg.cross(axis, points).norm(dim=1).max()
-            reach[joint] = float(off) + far if kind == 1 else 1.0
+            reach[joint] += gain * (float(off) + far if kind == 1 else 1.0)
         if kind:
             far += float(points.norm(dim=1).max())
             points = points.new_zeros(1, 3)
         if kind == 2:
-            far += max(abs(float(arm.lower[joint])), abs(float(arm.upper[joint])))
+            far += gain * max(abs(float(arm.lower[joint])), abs(float(arm.upper[joint])))
         points = points @ offset[:, :3].T + offset[:, 3]
     return reach
 

@@ -223,6 +223,12 @@ def at_rest(joint: Any) -> float:
     return float(min(max(0.0, joint.limit.lower), joint.limit.upper))
 
 
+def mimic_of(joint: Any) -> tuple[float, float]:
+    """Offset and factor of a joint that follows another."""
+    factor = joint.mimic.multiplier
+    return joint.mimic.offset or 0.0, 1.0 if factor is None else factor
+
+
 def _check_numbers(root: Any, where: str) -> None:
     """Check that attributes have the right number of finite, bounded numbers."""
     for element in root.iter(*_NUMBERS):

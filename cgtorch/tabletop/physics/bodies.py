@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import Robot
-from cgtorch.tabletop.kinematics.urdf import MOVING
+from cgtorch.tabletop.kinematics.urdf import MOVING, mimic_of
 
 Array = NDArray[numpy.float64]
 Placed = tuple[Any, Array]  # a `yourdfpy` link, and its pose (4, 4) in its body
@@ -144,12 +144,6 @@ def _motion(joint: Any, held: Mapping[str, float]) -> Array:
     return pose
 
 
-def mimic_of(joint: Any) -> tuple[float, float]:
-    """Offset and factor of a joint that follows another."""
-    factor = joint.mimic.multiplier
-    return joint.mimic.offset or 0.0, 1.0 if factor is None else factor
-
-
 def follows(joint: Any, held: Mapping[str, float]) -> float:
     """The position (rad or m) of a joint that follows a fixed one."""
     offset, factor = mimic_of(joint)
@@ -215,6 +209,13 @@ def _mass(links: list[Placed]) -> tuple[float, Array, Array]:
         away = at - centre
         total = total + own + m * (away @ away * numpy.eye(3) - numpy.outer(away, away))
     return mass, centre, total
+
+
+def followers_of(robot: Robot, arm: int) -> list[Any]:
+    """The joints (of `yourdfpy`) within an arm that follow others."""
+    words = robot.description.arms[arm]
+    joints = robot.urdf.joints_between(words.base_link, words.tool_frame)
+    return [joint for joint in joints if joint.mimic is not None]
 
 
 def gripper_joints(robot: Robot, arm: int) -> list[Any]:

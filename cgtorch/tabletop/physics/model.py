@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.kinematics import Robot
+from cgtorch.tabletop.kinematics.urdf import mimic_of
 from cgtorch.tabletop.physics.bodies import (
     RigidBody,
     Servo,
     base_servos,
     closed_at,
+    followers_of,
     follows,
     gripper_joints,
-    mimic_of,
     rigid_bodies,
     servos_of,
 )
@@ -104,7 +105,7 @@ class Model:
         model, data: MuJoCo's own.
         arm: Joints of the moving arm, from base to tool.
         fingers: Joints of its gripper with servos of their own.
-        begins: Further indices in qpos, of fingers that follow others, and their initial values.
+        begins: Further indices in qpos, of joints that follow others, and their initial values.
         thing: The object.
         thing_qpos: The first index of its pose in qpos.
         boxes: (body, mocap body, geom) of the table's slab and block, and of each obstacle.
@@ -139,14 +140,16 @@ def build(robot: Robot, arm: int | None, boxes: int, thing: Thing) -> Model:
     held |= robot.description.held
     moved = [] if arm is None else list(robot.arms[arm].joint_names)
     grip = [] if arm is None else gripper_joints(robot, arm)
-    bodies = rigid_bodies(robot, {*moved, *(joint.name for joint in grip)}, held)
+    coupled = [] if arm is None else [each for each in followers_of(robot, arm) if each not in grip]
+    chain = [*moved, *(joint.name for joint in coupled)]
+    bodies = rigid_bodies(robot, {*chain, *(joint.name for joint in grip)}, held)
     servos = servos_of(robot, arm, bodies)
     closed = {joint.name: closed_at(joint, robot) for joint in grip if joint.mimic is None}
-    followers = [joint for joint in grip if joint.mimic is not None]
+    followers = [*coupled, *(joint for joint in grip if joint.mimic is not None)]
     spec = _empty(mj)
     _add_robot(mj, spec, bodies, servos)
     _add_scene(mj, spec, boxes, thing)
-    _add_excludes(spec, robot, bodies, moved)
+    _add_excludes(spec, robot, bodies, chain)
     for joint in followers:
         _add_follower(mj, spec, joint)
     _add_servos(mj, spec, bodies, {name: servos[name] for name in (*moved, *closed)})

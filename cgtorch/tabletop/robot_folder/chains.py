@@ -6,6 +6,7 @@ they begin, and by whether they stand on the floor.
 """
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,6 +26,7 @@ FINGERS = ((9, 0.2), (4, 0.3))  # the most joints of a finger, and how far it re
 HALF_TURN = 3.17  # rad that a jaw turns at most, with some room
 JAW = 0.6  # of the reach of a jaw, that of what it closes against
 OPEN = 0.8  # rad by which a jaw may be open at rest
+NAMED = re.compile("finger|thumb", re.IGNORECASE)  # what no joint of an arm is called
 ASIDE = 0.2  # of its reach, how far its middle is from its axis at least
 ACROSS = 0.5  # cosine of its axis to the way to its tip
 DOWN = 0.6  # of the reach of a leg, how far below its begin the floor is
@@ -175,14 +177,28 @@ def _within(joint: Any, share: float) -> float:
 
 
 def _is_finger(structure: Structure, joint: Any) -> bool:
-    """Whether what hangs from a joint is as short as a finger."""
+    """Whether what hangs from a joint is as short as a finger, and carries no fingers itself."""
+    if any(len(_own(structure, link)) > 1 for link in structure.hanging(joint.child)):
+        return False
     depth, reach = _depth(structure, joint), _extent(structure, joint.child)
     return any(depth <= most and reach <= far for most, far in FINGERS)
 
 
+def _own(structure: Structure, link: str) -> list[Any]:
+    """The independent joints of the rigid body that begins at a link."""
+    return [joint for joint in structure.moved(link) if joint.mimic is None]
+
+
 def _is_jaw(structure: Structure, link: str, joint: Any) -> bool:
-    """Whether a joint moves a jaw, which closes against a part of the body that carries it."""
-    if _depth(structure, joint) > 1 or not _is_finger(structure, joint):
+    """Whether a joint moves a jaw, which closes against a part of the body that carries it.
+
+    A joint that is called a finger's is one.
+    """
+    if not _is_finger(structure, joint):
+        return False
+    if NAMED.search(joint.name):
+        return True
+    if _depth(structure, joint) > 1:
         return False
     if _turns_far(structure, joint):
         return False
@@ -248,21 +264,27 @@ def _legs(structure: Structure, long: list[Chain], every: list[Chain]) -> set[st
     """The ends of long chains on which a robot stands, given every chain that may be an arm.
 
     The base does not reach the floor, but two or more of them do, or one does and two do not;
-    those with fingers only if others with fingers do not, or if these are wheels. Or they have no
-    fingers and hang from the base where others hang from a torso that does not stand.
+    those with fingers only if others with fingers do not, if these are wheels, or if there is one,
+    a foot, and two others do not. Or they have no fingers and hang from the base where others hang
+    from a torso that does not stand.
     """
     floor = ON_FLOOR + _lowest(structure, structure.hanging(structure.base))
     if _lowest(structure, structure.rigid(structure.base)) <= floor:
         return set()
     stand = [chain for chain in long if _stands(structure, chain, floor)]
     held = any(chain.fingers and chain not in stand for chain in every)
-    stand = [c for c in stand if held or not c.fingers or _on_wheels(structure, c)]
+    others = len(long) - len(stand) > 1
+    stand = [
+        c
+        for c in stand
+        if held or not c.fingers or _on_wheels(structure, c) or (others and _one_jaw(structure, c))
+    ]
     below = {chain.link for chain in stand if not chain.shared}
     if len(below) > 1 or (below and len(long) - len(stand) > 1):
         return below | _from_base(long)
     hips = {chain.link for chain in stand if chain.shared}
-    others = [chain for chain in long if not chain.shared]
-    if len(hips) > 1 and others and not below:
+    upper = [chain for chain in every if not chain.shared]
+    if len(hips) > 1 and upper and not below:
         return hips
     return _from_base(long)
 
@@ -270,6 +292,11 @@ def _legs(structure: Structure, long: list[Chain], every: list[Chain]) -> set[st
 def _on_wheels(structure: Structure, chain: Chain) -> bool:
     """Whether all that a chain has in place of fingers turns without end."""
     return all(joint.type == "continuous" for joint in structure.moved(chain.link))
+
+
+def _one_jaw(structure: Structure, chain: Chain) -> bool:
+    """Whether a chain has one thing in place of fingers, as a foot is taken for a jaw."""
+    return len(structure.moved(chain.link)) == 1
 
 
 def _from_base(long: list[Chain]) -> set[str]:

@@ -59,6 +59,7 @@ def arm(joints: int = 3) -> Any:
         offset=torch.stack([pose(0, 0, 1), pose(0.3, 0, 0.4), pose(0, 0, 0), pose(0, 0, 0.6)]),
         axis=torch.tensor([[0.0, 0, 1], [1, 0, 0], [0, 0, 0], [0, 1, 0]]).double(),
         kind=torch.tensor([1, 2, 0, 1]), joint=torch.tensor([0, 1, -1, 2]),
+        gain=torch.ones(4).double(),
     )  # fmt: skip
     return SimpleNamespace(
         joint_names=("a", "b", "c")[:joints], chain=lambda like: (None, table),

@@ -38,6 +38,7 @@ def refused(path, data):
         ("box.obj", {}),
         ("box.dae", {}),
         ("box.ply", {}),
+        ("box.glb", {}),
         ("text.ply", {"encoding": "ascii"}),
     ],
 )
@@ -119,7 +120,8 @@ def zipped():
         ("a.ply", b"ply", "cannot be read"),
         ("a.ply", PLY, "cannot be read"),
         ("a.ply", PLY.replace(b"element face 12", b"element face 9000000000000"), "cannot be read"),
-        ("a.glb", b"glTF", "none of .stl, .dae, .obj, .ply"),
+        ("a.glb", b"glTF", "cannot be read"),
+        ("a.gltf", b"{}", "none of .stl, .dae, .obj, .ply, .glb"),
         ("a", b"", "none of .stl"),
     ],
 )  # fmt: skip
@@ -244,6 +246,16 @@ def test_the_package_in_which_the_urdf_lies(world):
     )
 
 
+def test_a_package_beside_the_urdf(world):
+    beside = world / "elsewhere/hand/meshes/b.stl"
+    beside.parent.mkdir(parents=True)
+    beside.write_text("beside")
+    for urdf in ("r.urdf", "robot/r.urdf", "robot/urdf/r.urdf"):
+        assert found(world, "package://meshes/b.stl", urdf=f"elsewhere/hand/{urdf}") == beside
+    with pytest.raises(RobotError, match="the package 'meshes' is in none of"):
+        found(world, "package://meshes/b.stl", urdf="elsewhere/hand/a/b/c/r.urdf")
+
+
 def test_the_environment(world):
     environment = {
         "ROS_PACKAGE_PATH": f"{world}/none:{world}/ws",
@@ -261,7 +273,7 @@ def test_the_environment(world):
 
 def test_files_by_their_path(world):
     mesh = world / "ws/repo/arm_description/meshes/a.stl"
-    for name in (str(mesh), f"file://{mesh}"):
+    for name in (str(mesh), f"file://{mesh}", f"file:///{mesh}"):
         assert found(world, name, ["ws"]) == mesh
         with pytest.raises(RobotError, match="leads out of"):
             found(world, name)

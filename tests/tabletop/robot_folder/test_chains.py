@@ -104,6 +104,8 @@ def test_legs_may_hang_from_a_waist_and_may_have_wheels_or_claws(tmp_path):
     hips = [chain(f"leg{i}_", 6, "waist0", DOWN, hip) for i, hip in enumerate(HIPS)]
     found = kinds(structure_of(tmp_path, PELVIS, *two, waist, *hips))
     assert found == {**both, "leg0_5": LEG, "leg1_5": LEG}
+    few = [chain(f"arm{i}_", 4, "base", "0.1 0 0", side) for i, side in enumerate(SIDES)]
+    assert arms(structure_of(tmp_path, PELVIS, *few, waist, *hips)) == {"arm0_3": 4, "arm1_3": 4}
     leg = chain("leg", 6, "base", DOWN, "0 0 -0.2") + fingers("wheel", "leg5", "0 {} 0")
     rolls = leg.replace(
         '_joint" type="revolute"><parent link="leg5"',

@@ -1,0 +1,64 @@
+"""What URDFs write that the format does not have, and what they leave out."""
+
+import pytest
+
+from cgtorch.tabletop.kinematics import load_urdf
+
+ROBOT = (
+    '<robot><link name="a"><visual><geometry><box size="1 1 1"/></geometry>{}</visual></link>'
+    '<link name="b"/><joint name="j" type="{}"><parent link="a"/><child link="b"/>{}</joint>'
+    "</robot>"
+)
+
+
+def read(tmp_path, colour="", kind="revolute", limit='<limit lower="0" upper="1"/>'):
+    (tmp_path / "a.urdf").write_text(ROBOT.format(colour, kind, limit))
+    return load_urdf(tmp_path / "a.urdf").model
+
+
+@pytest.mark.parametrize(
+    ("rgba", "read_as"),
+    [
+        ("0 0.5 1 1", [0, 0.5, 1, 1]),
+        ("255 0 0 1", None),
+        ("-0.1 0 0 1", None),
+        ("1 1 1", None),
+        ("1 1 1 1 1", None),
+        ("1,1,1,1", None),
+        ("a b c d", None),
+        ("nan 0 0 1", None),
+        ("", None),
+    ],
+)
+def test_what_is_no_colour_is_left_out(tmp_path, rgba, read_as):
+    colour = f'<material name="m"><color rgba="{rgba}"/></material>'
+    found = read(tmp_path, colour).robot.links[0].visuals[0].material.color
+    assert (found if found is None else found.rgba.tolist()) == read_as
+
+
+@pytest.mark.parametrize(
+    ("shape", "kept"),
+    [
+        ('<box size="0 0 0"/>', False),
+        ('<box size="0 0 0.1"/>', True),
+        ('<sphere radius="0.0"/>', False),
+        ('<cylinder radius="0" length="0"/>', False),
+        ('<cylinder radius="0.1" length="0"/>', True),
+        ('<mesh filename="a.stl"/>', True),
+    ],
+)
+def test_a_shape_without_any_size_is_left_out(tmp_path, shape, kept):
+    parts = f"</visual><collision><geometry>{shape}</geometry></collision><visual>"
+    parts += f"<geometry>{shape}</geometry>"
+    link = read(tmp_path, parts).robot.links[0]
+    assert (len(link.collisions), len(link.visuals)) == (kept, 1 + kept)
+
+
+def test_limits_are_nought_where_they_are_not_given(tmp_path):
+    def limit(*words):
+        found = read(tmp_path, "", *words).joint_map["j"].limit
+        return found.lower, found.upper, found.effort, found.velocity
+
+    assert limit() == (0, 1, 0, 0)
+    assert limit("prismatic", '<limit upper="2" velocity="3"/>') == (0, 2, 0, 3)
+    assert limit("continuous", '<limit effort="4"/>') == (None, None, 4, 0)
