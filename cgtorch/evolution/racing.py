@@ -38,10 +38,8 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
     there, too, but with a higher score, goes on with what the best one has solved. As soon as one
     has solved all scenarios, nobody else runs. What is known of an individual is not run again.
     Where an individual has not run, it has not succeeded, and its score is 0, or `WORST` with
-    rewards. Its fitness takes these for as good as what it failed on, unless there are rewards.
-    Otherwise an individual that solves a single scenario by luck would be ahead of one that comes
-    close to success on all. With some of W (`keep` (B,) bool) there is no race. For the arguments
-    see `cgtorch.evolution.fitness.evaluator`.
+    rewards. With some of W (`keep` (B,) bool) there is no race. For the arguments see
+    `cgtorch.evolution.fitness.evaluator`.
     """
     if keep.any():
         return evaluator(actions, environment, keep, **about)
@@ -90,18 +88,9 @@ def race(actions: ActionSet, environment: Environment, keep: Tensor, **about: An
                     some = [row for row in some if runs[row].succeeded[each]]
         scores = torch.stack([each.scores for each in runs])
         succeeded = torch.stack([each.succeeded for each in runs])
-        ran = torch.stack([each.ran for each in runs])
-        fitness = scores if isinstance(environment, Rewarded) else expected(scores, succeeded, ran)
-        return Evaluation(fitness.mean(1), scores, succeeded, *counts.tolist())
+        return Evaluation(scores.mean(1), scores, succeeded, *counts.tolist())
 
     return evaluation
-
-
-def expected(scores: Tensor, succeeded: Tensor, ran: Tensor) -> Tensor:
-    """(P, B) scores, where what has not run counts as the mean of what has failed, if anything."""
-    failed = ran & ~succeeded
-    usual = (scores * failed).sum(1, keepdim=True) / failed.sum(1, keepdim=True).clamp_min(1)
-    return torch.where(ran, scores, usual)
 
 
 def contents(graphs: Graphs) -> list[bytes]:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from cgtorch.evolution import evaluator, race
 from cgtorch.evolution.population import random_population
-from cgtorch.evolution.racing import WAVE, expected
+from cgtorch.evolution.racing import WAVE
 from cgtorch.graphs import Graphs, compacted
 
 ACTIONS = custom_actions()
@@ -49,28 +49,6 @@ def raced(scores: Tensor, solved: Tensor, names: list[str]) -> tuple[Tensor, Ten
     return scores * ran, solved & ran, ran
 
 
-def expectations(scores: Tensor, succeeded: Tensor, ran: Tensor) -> list[float]:
-    """The fitness of each, (P,), where the rest is expected to be as what has failed."""
-    found = []
-    for own, good, played in zip(scores.tolist(), succeeded.tolist(), ran.tolist(), strict=True):
-        rows = list(zip(own, good, played, strict=True))
-        failed = [score for score, well, was in rows if was and not well]
-        usual = sum(failed) / len(failed) if failed else 0.0
-        found.append(sum(score if was else usual for score, _, was in rows) / len(rows))
-    return found
-
-
-def test_who_is_close_everywhere_is_ahead_of_who_has_solved_one_by_luck() -> None:
-    scores = torch.tensor([[1.0, 0.01], [0.3, 0.2], [0.0, 0.0]])
-    scores = torch.cat([scores, torch.zeros(3, 6)], 1)
-    ran = torch.zeros(3, 8, dtype=torch.bool)
-    ran[:2, :2] = True
-    found = expected(scores, scores == 1, ran)
-    assert torch.allclose(found[:, 2:], torch.tensor([[0.01], [0.25], [0.0]]).expand(3, 6))
-    assert torch.equal(found[:, :2], scores[:, :2])
-    assert found.mean(1).argsort(descending=True).tolist() == [1, 0, 2]
-
-
 @given(st.integers(0, 2**31), st.integers(1, 9), st.integers(2, 14))
 def test_a_race_is_what_the_reference_says(seed: int, scenarios: int, count: int) -> None:
     some = random_population(count, ACTIONS, 12, (2, 10), seeded(seed)).graphs
@@ -86,7 +64,7 @@ def test_a_race_is_what_the_reference_says(seed: int, scenarios: int, count: int
     scores, succeeded, ran = raced(whole.scores, whole.succeeded, names)
     assert torch.equal(found.scores, scores)
     assert torch.equal(found.succeeded, succeeded)
-    assert torch.allclose(found.fitness, torch.tensor(expectations(scores, succeeded, ran)))
+    assert torch.allclose(found.fitness, scores.mean(1))
     assert found.transitions <= whole.transitions
     again = evaluate(graphs)
     if found.succeeded.all(1).any() or ran.all():  # so nothing is left that could be run
