@@ -17,6 +17,7 @@ from cgtorch.manipulation.film import ArmPictures
 from cgtorch.manipulation.primitives import Wait, primitives
 from cgtorch.manipulation.settings import WITH_ID, FetchSettings, ManipulationSettings
 from cgtorch.manipulation.simulator import Simulator
+from cgtorch.manipulation.steer import Steer
 from cgtorch.manipulation.strike import Strike
 from cgtorch.manipulation.world import CONTROL, ArmWorld, Simulators, Starts
 
@@ -141,12 +142,14 @@ class Fetch(Manipulation):
     def primitives(self) -> dict[str, Any]:
         """See `Manipulation.primitives`: shorter ones, as a low-level step is longer.
 
-        Only FetchSlide has an object that slides on, so only it has `Strike`.
+        FetchSlide, whose object slides on, has `Strike`, too, and FetchPush has `Steer` in place of
+        `PushTo`, which aims only once.
         """
         pace = 1 / 3
         made = {**primitives(self.arm, pace), "Wait": Wait(self.arm, "object", pace)}
-        return {**made, "Strike": Strike(self.arm, "object", pace)} if self._slides else made
-
-    @property
-    def _slides(self) -> bool:
-        return fetch.SLIDE in self.tasks
+        if fetch.SLIDE in self.tasks:
+            made["Strike"] = Strike(self.arm, "object", pace)
+        if fetch.PUSH in self.tasks:
+            del made["PushTo"]
+            made["Steer"] = Steer(self.arm, "object", pace)
+        return made

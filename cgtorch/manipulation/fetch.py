@@ -8,8 +8,8 @@ from cgtorch.ground.errors import DomainError
 from cgtorch.manipulation.mujoco_states import MujocoStates
 from cgtorch.manipulation.simulator import Floats, Simulator
 
-SLIDE = "FetchSlide-v4"
-TASKS = ("FetchReach-v4", "FetchPush-v4", "FetchPickAndPlace-v4", SLIDE)
+PUSH, SLIDE = "FetchPush-v4", "FetchSlide-v4"
+TASKS = ("FetchReach-v4", PUSH, "FetchPickAndPlace-v4", SLIDE)
 
 
 def tasks_of(name: str) -> tuple[str, ...]:

@@ -93,13 +93,17 @@ class Primitive(Action):
 
     def fingers(self, lanes: Lanes, environment: Environment, state: float) -> Lanes:
         """The lanes after the gripper opened or closed."""
-        return self.go(_gripper(lanes, state), environment, self.at(lanes), FINGERS, near=0.0)
+        return self.go(with_gripper(lanes, state), environment, self.at(lanes), FINGERS, near=0.0)
 
     def ended(self, lanes: Lanes, environment: Environment) -> tuple[Lanes, Tensor]:
         """The lanes, and how the primitive ended."""
         lanes, chance = environment.success(lanes)
-        over = torch.where(self.arm.elapsed(lanes.percept) >= 1 - 1e-4, OVER, 0)
+        over = torch.where(self.late(lanes), OVER, 0)
         return lanes, torch.where(chance > 0.5, SOLVED, over)
+
+    def late(self, lanes: Lanes) -> Tensor:
+        """(n,) bool, whether the time of an episode is over."""
+        return self.arm.elapsed(lanes.percept) >= 1 - 1e-4
 
 
 class Close(Primitive):
@@ -222,7 +226,7 @@ class Pick(Primitive):
     ) -> tuple[Lanes, Tensor]:
         """See `Action.forward`."""
         target = self.aim(lanes, parameters)
-        lanes = self.from_above(_gripper(lanes, OPENED), environment, target)
+        lanes = self.from_above(with_gripper(lanes, OPENED), environment, target)
         return self.ended(self.fingers(lanes, environment, CLOSED), environment)
 
 
@@ -236,7 +240,7 @@ class Push(Primitive):
     ) -> tuple[Lanes, Tensor]:
         """See `Action.forward`."""
         target = self.aim(lanes, 2 * parameters[:, :3])
-        lanes = self.from_above(_gripper(lanes, CLOSED), environment, target)
+        lanes = self.from_above(with_gripper(lanes, CLOSED), environment, target)
         target = self.at(lanes) + 1.5 * WAY * parameters[:, 3:]
         return self.ended(self.go(lanes, environment, target, FAR), environment)
 
@@ -255,7 +259,7 @@ class Drag(Primitive):
         """See `Action.forward`."""
         way = self.at(lanes, "goal") - self.at(lanes, "object")
         target = self.at(lanes, "object") + 2 * OFFSET * parameters[:, :3]
-        lanes = self.from_above(_gripper(lanes, CLOSED), environment, target)
+        lanes = self.from_above(with_gripper(lanes, CLOSED), environment, target)
         target = self.at(lanes) + way + OFFSET * parameters[:, 3:]
         return self.ended(self.go(lanes, environment, target, FAR), environment)
 
@@ -279,7 +283,7 @@ class PushTo(Primitive):
         low = thing[:, 2:] + OFFSET * height
         behind = thing[:, :2] - (0.09 + OFFSET * back) * way
         target = torch.cat([behind, low], 1)
-        lanes = self.from_above(_gripper(lanes, CLOSED), environment, target)
+        lanes = self.from_above(with_gripper(lanes, CLOSED), environment, target)
         last = torch.cat([goal[:, :2] - (0.06 + OFFSET * end) * way, low], 1)
         speed = (0.6 + 0.3 * fast).clamp(0.05, 1)
         return self.ended(self.go(lanes, environment, last, FAR, speed), environment)
@@ -305,7 +309,7 @@ class Hit(Primitive):
         way = way / distance
         low = thing[:, 2:] + OFFSET * height
         behind = thing[:, :2] - (0.1 + OFFSET * back) * way
-        lanes = _gripper(lanes, CLOSED)
+        lanes = with_gripper(lanes, CLOSED)
         lanes = self.from_above(lanes, environment, torch.cat([behind, low], 1))
         stroke = 0.15 + 0.05 * long + (0.2 + 0.1 * longer) * distance
         speed = 0.5 + 0.3 * fast + (0.5 + 0.3 * faster) * (distance - 0.4)
@@ -314,7 +318,7 @@ class Hit(Primitive):
         return self.ended(lanes, environment)
 
 
-def _gripper(lanes: Lanes, state: float) -> Lanes:
+def with_gripper(lanes: Lanes, state: float) -> Lanes:
     """The lanes with the gripper to be opened or closed in the next segment."""
     return replace(lanes, memory=torch.full_like(lanes.memory, state))
 

@@ -1,12 +1,10 @@
 """A stroke that lets an object slide to a goal out of the hand's reach."""
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
 from cgtorch.ground.environment import Environment, Lanes
-from cgtorch.manipulation.primitives import CLOSED, NEAR, Primitive
+from cgtorch.manipulation.primitives import CLOSED, NEAR, Primitive, with_gripper
 
 FINGER = (0.0135, 0.0149)  # m from the middle of a Fetch's closed gripper to its sides, in x and y
 RADIUS = 0.025  # m, of the object
@@ -41,7 +39,7 @@ class Strike(Primitive):
         self, lanes: Lanes, parameters: Tensor, environment: Environment
     ) -> tuple[Lanes, Tensor]:
         """See `Action.forward`."""
-        lanes = replace(lanes, memory=torch.full_like(lanes.memory, CLOSED))
+        lanes = with_gripper(lanes, CLOSED)
         more = parameters * parameters.new_tensor(UNITS)
         hand, low = self.at(lanes), self.behind(lanes, more)
         high = torch.maximum(hand[:, 2:], low[:, 2:] + ABOVE)

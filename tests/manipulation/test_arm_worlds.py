@@ -146,9 +146,11 @@ def test_percepts_tell_a_task_or_hide_it() -> None:
 
 def test_actions_are_named_after_the_places_they_go_to() -> None:
     single = ["Shift", "Pick", "Push", "Drag", "PushTo", "Hit", "Open", "Close"]
-    assert list(fetch().actions().names) == [
-        "ReachObject", "ReachGoal", "CarryGoal", "InsertGoal", "Place", *single, "Wait", "Branch",
-    ]  # fmt: skip
+    own = ["ReachObject", "ReachGoal", "CarryGoal", "InsertGoal", "Place", *single, "Wait"]
+    assert list(fetch("FetchReach-v4").actions().names) == [*own, "Branch"]
+    assert list(fetch("FetchPickAndPlace-v4").actions().names) == [*own, "Branch"]
+    own.remove("PushTo")
+    assert list(fetch().actions().names) == [*own, "Steer", "Branch"]
     assert list(meta_world().actions().names) == [
         "ReachObject", "ReachOther", "ReachGoal", "CarryOther", "CarryGoal", "InsertOther",
         "InsertGoal", "Place", *single, "Branch",

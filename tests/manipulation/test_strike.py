@@ -150,9 +150,10 @@ def test_the_first_parameters_of_new_nodes_are_small() -> None:
 
 
 def test_only_the_task_whose_object_slides_has_strikes() -> None:
-    """Those of Push, whose object stops where it is let go, have stayed as they were."""
-    slide, push = fetch("FetchSlide-v4"), fetch()
-    assert [*push.actions().names[:-1], "Strike", "Branch"] == list(slide.actions().names)
+    """Those of PickAndPlace, whose object stops where it is let go, have stayed as they were."""
+    slide, place, push = fetch("FetchSlide-v4"), fetch("FetchPickAndPlace-v4"), fetch()
+    assert [*place.actions().names[:-1], "Strike", "Branch"] == list(slide.actions().names)
+    assert "Strike" not in push.actions().names
     assert {action.pace for action in slide.primitives().values()} == {1 / 3}
 
 

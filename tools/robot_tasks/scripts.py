@@ -36,7 +36,7 @@ SCRIPTS: Mapping[str, str] = {
     "bin-picking-v3": "Pick Place",
     "basketball-v3": "Pick Place Open",
     "FetchReach-v4": "ReachGoal Wait",
-    "FetchPush-v4": "PushTo Wait",
+    "FetchPush-v4": "Steer",
     "FetchSlide-v4": "Strike Wait",
     "FetchPickAndPlace-v4": "Pick Place Wait",
 }
