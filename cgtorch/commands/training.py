@@ -1,6 +1,7 @@
 """The work of `cgtorch-train`, after its options are parsed, and what it says before and after."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,11 @@ def begin(
     processes: int | None = None,
 ) -> None:
     """Begin a run, again if it has produced nothing yet, or continue one with the same settings."""
-    with begun(folder, settings, with_name(settings.domain, own), request) as run:
+    with ExitStack() as writer:
+        # A domain may have to look at its world for long, which is over before processes begin.
+        with ProgressDisplay(quiet=quiet or not ranks.first()):
+            own = with_name(settings.domain, own)
+            run = writer.enter_context(begun(folder, settings, own, request))
         work = prepared(run, settings, request)
         in_ranks(partial(_train, work, quiet), processes or usual_processes(run))
 

@@ -21,6 +21,7 @@ from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of, tried
 from cgtorch.domains.registry import NOT_FOUND, foreign
 from cgtorch.ground.errors import DomainError, WorldError
+from cgtorch.native.processes import counted
 
 MOST = 64
 """Number of environments at once; see docs/decisions/interface.md."""
@@ -113,6 +114,7 @@ class Episodes:
         percepts, rewards, infos = list[NDArray[Any]](), list[float](), set[str]()
         actions = tried(self.actions)
         actions.seed(0)
+        more = counted("random episodes", count)
         for seed in range(count):
             percepts.append(self._begun(0, seed))
             for _ in range(most):
@@ -122,6 +124,7 @@ class Episodes:
                 infos.update(info)
                 if over:
                     break
+            more(1)
         return Explored(np.stack(percepts), np.array(rewards), tuple(sorted(infos)))
 
     def _begun(self, slot: int, seed: int) -> NDArray[Any]:

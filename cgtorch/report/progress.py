@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Self, cast
 
@@ -17,6 +17,7 @@ from rich.text import Text
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.ground.errors import printable
 from cgtorch.improvement import events
+from cgtorch.native.processes import listening
 from cgtorch.report.messages import as_time, few_solved, message_of, place_of, stage_number
 
 SILENCE = 29.0  # s without a line after which one tells what goes on
@@ -110,7 +111,7 @@ class ProgressDisplay:
         self._quiet, self._live_mode = quiet, self.console.is_terminal and not quiet
         self._live: Live | None = None
         self._began = time.monotonic()
-        self._ended = threading.Event()
+        self._ended, self._within = threading.Event(), ExitStack()
         self._estimate = Estimate()
         self._stage: events.StageStarted | None = None
         self._generation: events.GenerationDone | None = None
@@ -124,13 +125,17 @@ class ProgressDisplay:
 
     def __enter__(self) -> Self:
         """Begin; elapsed time counts from here."""
-        self._began = time.monotonic()
+        self._began = self._told = time.monotonic()
+        self._within.enter_context(listening(self.counted))
         if self._live_mode:
             self._live = Live(get_renderable=self.live_lines, console=self.console, transient=True)
             self._live.start()
         elif not self._quiet:
             self._ended = threading.Event()
-            threading.Thread(target=self._signs_of_life, daemon=True).start()
+            signs = threading.Thread(target=self._signs_of_life, daemon=True)
+            signs.start()
+            self._within.callback(signs.join)  # no process is forked while it prints
+            self._within.callback(self._ended.set)
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -138,7 +143,7 @@ class ProgressDisplay:
         if self._live is not None:
             self._live.stop()
             self._live = None
-        self._ended.set()
+        self._within.close()
 
     def _signs_of_life(self) -> None:
         """Print a line wherever nothing has been printed for a while, until the end."""
@@ -153,6 +158,7 @@ class ProgressDisplay:
         if not self._working and self._generation is not None:
             done = self._generation.generation.number + 1
             parts.append(f"{self._generation.candidate}, generation {done}")
+        parts += [f"{what}: {text}" for what, (_, _, text) in list(self._counts.items())]
         parts.append(f"{as_time(time.monotonic() - self._began)} elapsed")
         return ", ".join(parts)
 

@@ -47,6 +47,7 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
+from cgtorch.native.processes import counted
 from cgtorch.runs.imagines import check_imagined, models_of, reward_models_of
 from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings
@@ -306,7 +307,9 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
         domain = on_robot(domain, make_driver(driver), JsonLines(folder / LOG))
     elif isinstance(domain, DriverDomain):
         return StoredRun(folder, settings, domain, domain.actions(), repeats=False)
+    checked = counted("dry runs of the domain", 1)
     repeats = check_domain(domain, kind)
+    checked(1)
     sizes = len(domain.percept), len(domain.control)
     actions = resolve_actions(settings.actions, domain.actions(), sizes)
     every = zip(actions.names, actions.actions, strict=True)

@@ -184,8 +184,8 @@ def train(
     place = Path("runs") / f"seed-{run_settings.seed}" if folder is None else Path(folder)
     with (
         ranks.together(),
-        begun(place, run_settings, domain_settings, request, made) as run,
         ProgressDisplay(quiet=quiet or not ranks.first()) as display,
+        begun(place, run_settings, domain_settings, request, made) as run,
     ):
         work = prepared(run, run_settings, request)
         carry_out(work, display, watch)

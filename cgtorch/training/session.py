@@ -16,7 +16,6 @@ from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.improvement.events import Event, Watch
-from cgtorch.native.processes import listening
 from cgtorch.report import ProgressDisplay, TensorBoardWatch
 from cgtorch.runs.changes import overridden, refuse_others
 from cgtorch.runs.journal import (
@@ -203,7 +202,7 @@ def carry_out(
         ):
             display.say(line)
         settled = run.all_settings() | (vars(work.goal) if auto else {})
-        with listening(display.counted), _board(run, settled) as board:
+        with _board(run, settled) as board:
 
             def told(event: Event) -> None:
                 board(event)

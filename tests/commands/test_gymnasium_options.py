@@ -1,10 +1,14 @@
 """A Gymnasium environment of one's own, from its options to its report."""
 
+import re
 import shutil
 from pathlib import Path
 
 import pytest
 from command_line import EVALUATE, EXPORT, REPORT, TRAIN, Shell, about, in_a_shell, listing
+
+import cgtorch
+from cgtorch.ground.errors import DomainError
 
 pytest.importorskip("gymnasium")
 
@@ -144,3 +148,47 @@ def test_options_that_cannot_work(
     (pushes / "imported").touch()
     assert message in shell.refuses(TRAIN, *GIVEN[:2], *words, "--run-dir", "new")
     assert not (pushes / "new").exists()
+
+
+SLOW = """
+import time
+import gymnasium
+
+
+class Slow(gymnasium.Env):
+    observation_space = gymnasium.spaces.Box(-1, 1, (1,))
+    action_space = gymnasium.spaces.Discrete(2)
+
+    def reset(self, *, seed=None, options=None):
+        time.sleep(0.02)
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        return self.observation_space.sample(), 0.0, True, False, {}
+
+
+gymnasium.register("Slow-v0", Slow)
+"""
+
+
+@pytest.mark.parametrize("door", ["command", "Python"])
+def test_a_long_look_at_an_environment_is_told_of(
+    shell: Shell,
+    tmp_path: Path,
+    door: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("cgtorch.report.progress.OFTEN", 0.05)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "slow.py").write_text(SLOW)
+    name, lacking = "gymnasium:slow:Slow-v0", "names no return from which it counts as solved"
+    if door == "command":
+        lines = shell(TRAIN, "--domain", name, "--run-dir", "run").err.splitlines()
+        assert lacking in lines.pop()
+    else:
+        with pytest.raises(DomainError, match=lacking):
+            cgtorch.train(name, "run")
+        lines = capsys.readouterr().err.splitlines()
+    assert len(lines) > 1
+    assert all(re.match(r"random episodes: \d+ of 20, .*/s, left 0:0", line) for line in lines)
