@@ -41,10 +41,10 @@ check: lint  ## Lint, then the fast tests: less than a minute, for every change
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(FAST)
 
 test: setup  ## Run all tests (up to 14 minutes on two cores)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 durations: setup  ## Run all tests, and print the 40 slowest
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations 40
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations 40
 
 lint: setup types prose  ## Check style, types and prose
 	$(BIN)/ruff check
