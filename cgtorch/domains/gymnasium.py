@@ -94,7 +94,10 @@ class EpisodePictures(Pictures["Gymnasium"]):
         found, left_out = self.domain.known.remark, self.domain.episodes.percepts.left_out
         unasked = left_out and not self.domain.settings.percepts
         lacks = f"Percepts lack {', '.join(left_out)}, which has no fixed numbers."
-        return [*([found] if found else []), *([lacks] if unasked else [])]
+        copies, why = self.domain.episodes.most, self.domain.episodes.lacking
+        few = f"Only {copies} at once of the environment could be made, which is slow: {why}"
+        told = (found, found), (unasked, lacks), (why, few)
+        return [remark for so, remark in told if so]
 
     def film(self, skill: Skill, scenarios: Any, width: int) -> Film | None:
         """See `Pictures.film`: what the environment itself draws."""
@@ -239,8 +242,13 @@ class Gymnasium(Domain[Starts]):
                 f"environment {s.environment!r} names no return from which it counts as solved; "
                 "give one as target (--target), or a name in its info as success (--success)"
             )
+        endless = not seen.ended and self.episodes.most_steps == math.inf
+        limit = (
+            f"No random episode ended within {STEPS} steps, and the environment names no largest "
+            "number of steps; if its episodes do not end, give one (--env max_episode_steps=200)."
+        )
         if not name:
-            return Known(scaling, target=target or 0.0)
+            return Known(scaling, target=target or 0.0, remark=limit if endless else "")
         remark = "" if s.success else f"An episode is solved by {name} in the info of a step."
         if name not in seen.infos:
             others = f"only {', '.join(seen.infos)}" if seen.infos else "as infos were empty"
@@ -248,12 +256,22 @@ class Gymnasium(Domain[Starts]):
         mean, spread = float(seen.rewards.mean()), float(seen.rewards.std())
         varies = spread > EVEN * abs(seen.rewards).max()
         about = s.success_at == "last", mean, spread if varies else 1.0
+        remark = " ".join(each for each in (remark, limit if endless else "") if each)
         return Known(scaling, Success(name, *about), remark=remark)
 
     def _target(self) -> float | None:
         """The return from which an episode is solved: the one given, or the environment's own."""
         given = self.settings.target_return
-        return self.episodes.threshold if given == math.inf else given
+        own = self.episodes.threshold
+        if given != math.inf or own is None:
+            return None if given == math.inf else given
+        with suppress(TypeError, ValueError):
+            if math.isfinite(number := float(own)):
+                return number
+        raise DomainError(
+            f"environment {self.settings.environment!r} is registered with reward_threshold "
+            f"{own!r:.60}; give a number there, or the return to reach as target (--target)"
+        )
 
 
 class SparingGymnasium(Gymnasium):

@@ -214,6 +214,52 @@ def test_an_environment_that_does_not_repeat_itself_is_told(
         check_domain(domain, "starts")
 
 
+def test_episodes_that_share_a_state_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = {"latest": 0.0}
+
+    def seen(line: Line) -> Any:
+        if not line.steps:
+            kept["latest"] = line.place
+        return np.array([kept["latest"], 0.5])
+
+    domain = domain_of(monkeypatch, {"seen": seen})
+    with pytest.raises(DomainError, match=r"in another order \(number 1 of the .* no state in cla"):
+        check_domain(domain, "starts")
+
+
+def test_a_reset_that_keeps_the_last_state_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def seen(line: Line) -> Any:
+        if not line.steps:
+            line.place = getattr(line, "kept", line.place)
+        line.kept = line.place  # type: ignore[attr-defined]
+        return np.array([line.place, 0.5])
+
+    domain = domain_of(monkeypatch, {"seen": seen})
+    with pytest.raises(DomainError, match=r"keep .* from one episode to the next|of an earlier"):
+        check_domain(domain, "starts")
+
+
+@pytest.mark.parametrize("threshold", ["high", np.nan, np.inf])
+def test_a_threshold_that_is_no_number_is_told_unless_a_target_is_given(
+    monkeypatch: pytest.MonkeyPatch, threshold: Any
+) -> None:
+    monkeypatch.setattr(gymnasium.spec("Tiny/Line-v0"), "reward_threshold", threshold)
+    assert domain_of(monkeypatch, {}, target_return=3.0).target_return == 3
+    with pytest.raises(DomainError, match=rf"reward_threshold '?{threshold}'?; .*--target"):
+        domain_of(monkeypatch, {}, target_return=np.inf)
+
+
+def test_an_environment_that_may_never_end_is_remarked_upon(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    domain = domain_of(monkeypatch, {})
+    assert not domain.known.remark
+    monkeypatch.setattr(gymnasium.spec("Tiny/Line-v0"), "max_episode_steps", None)
+    assert "ended within 200 steps" in domain_of(monkeypatch, {}).known.remark
+    ending: dict[str, Change] = {"over": lambda line: line.steps > 3}
+    assert not domain_of(monkeypatch, ending).known.remark
+
+
 @pytest.mark.parametrize("good", [np.nan, "yes", np.zeros(2)])
 def test_success_that_is_no_number_is_told_where(
     monkeypatch: pytest.MonkeyPatch, good: Any
