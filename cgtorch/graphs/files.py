@@ -137,9 +137,9 @@ def _read(
     edges = [_check_keys(e, _EDGE, f"edge {i} of {what}") for i, e in enumerate(skill["edges"])]
     if len(nodes) > MAX_NODES:
         raise GraphError(f"{what} has {len(nodes)} nodes; at most {MAX_NODES} can be read")
-    if skill["max_transitions"] < 1 or skill["max_transitions"] > 2**31:
+    if not 1 <= skill["max_transitions"] <= 2**31:
         raise GraphError(
-            f"{what} has max_transitions {_short(skill['max_transitions'])}; give at least 1"
+            f"{what} has max_transitions {_short(skill['max_transitions'])}; give 1 to {2**31}"
         )
     used = [key for key in dict.fromkeys(n["action"] for n in nodes) if key in entries]
     for key in used:

@@ -236,7 +236,7 @@ DEEP = {
         (setting("version", 3), "version 3; this cgtorch reads 2"),
         (setting("version", True), "version True; this cgtorch reads 2"),
         (setting("version", ...), "version None; this cgtorch reads 2"),
-        (setting("max_transitions", 0), "max_transitions 0; give at least 1"),
+        (setting("max_transitions", 0), "max_transitions 0; give 1 to 2147483648"),
         (setting("max_transitions", 1.5), "max_transitions 1.5; give a whole number"),
         (setting("max_transitions", True), "max_transitions True; give a whole number"),
         (setting("max_transitions", 10**30), "max_transitions 1000"),
