@@ -260,6 +260,15 @@ def test_an_environment_that_may_never_end_is_remarked_upon(
     assert not domain_of(monkeypatch, ending).known.remark
 
 
+@pytest.mark.parametrize(("size", "alike"), [(1.0, False), (1e4, False), (1e9, True)])
+def test_rewards_that_are_alike_for_their_size_are_remarked_upon(
+    monkeypatch: pytest.MonkeyPatch, size: float, alike: bool
+) -> None:
+    domain = domain_of(monkeypatch, {"reward": lambda line: size + line.place})
+    assert ("subtract a constant (--wrappers)" in domain.known.remark) == alike
+    assert not domain_of(monkeypatch, {"reward": lambda line: size}).known.remark
+
+
 @pytest.mark.parametrize("good", [np.nan, "yes", np.zeros(2)])
 def test_success_that_is_no_number_is_told_where(
     monkeypatch: pytest.MonkeyPatch, good: Any
