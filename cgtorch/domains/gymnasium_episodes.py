@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgtorch.domains.gymnasium_episode import Episode
+from cgtorch.domains.gymnasium_episode import Episode, in_its_folder
 from cgtorch.domains.gymnasium_film import Filmed
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of, tried
@@ -180,7 +180,9 @@ class Episodes:
 
         name, keywords = self._settings.environment, self._settings.keywords
         try:
-            made: Any = gymnasium.make(name, disable_env_checker=True, **keywords)
+            made: Any = in_its_folder(
+                lambda: gymnasium.make(name, disable_env_checker=True, **keywords)
+            )
         except CgtorchError:
             raise
         except Exception as e:

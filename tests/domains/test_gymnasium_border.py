@@ -1,6 +1,8 @@
 """What Gymnasium environments do wrong is told with the seed and the step, and data are copied."""
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -267,6 +269,33 @@ def test_rewards_that_are_alike_for_their_size_are_remarked_upon(
     domain = domain_of(monkeypatch, {"reward": lambda line: size + line.place})
     assert ("subtract a constant (--wrappers)" in domain.known.remark) == alike
     assert not domain_of(monkeypatch, {"reward": lambda line: size}).known.remark
+
+
+def test_an_environment_that_changes_the_working_folder_changes_only_its_own(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "own").mkdir()
+    monkeypatch.chdir(tmp_path)
+    seen = set[str]()
+
+    def moved(line: Line) -> Any:
+        if line.steps == 2:
+            os.chdir(tmp_path / "own")
+        seen.add(Path.cwd().name)
+        return 1.0
+
+    domain = domain_of(monkeypatch, {"reward": moved})
+    assert Path.cwd() == tmp_path
+    assert seen == {tmp_path.name, "own"}
+    seen.clear()
+    domain.episodes.explored(2, 1)
+    assert seen == {"own"}
+    assert Path.cwd() == tmp_path
+    back: dict[str, Change] = {"reward": lambda line: os.chdir(tmp_path) or 1.0}
+    domain_of(monkeypatch, back)
+    seen.clear()
+    domain_of(monkeypatch, {"reward": lambda line: seen.add(Path.cwd().name) or 1.0})
+    assert seen == {tmp_path.name}
 
 
 @pytest.mark.parametrize("good", [np.nan, "yes", np.zeros(2)])
