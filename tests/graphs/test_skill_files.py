@@ -240,6 +240,7 @@ DEEP = {
         (setting("max_transitions", 1.5), "max_transitions 1.5; give a whole number"),
         (setting("max_transitions", True), "max_transitions True; give a whole number"),
         (setting("max_transitions", 10**30), "max_transitions 1000"),
+        (setting("name", "x" * 1001), "name 'xxx.* of 1001 characters; give at most 1000"),
         (setting("extra", 1), "unknown key 'extra'; known: format"),
         (setting("skills", "S1", ...), "unknown action 'S1'"),
         (setting("skills", "S1", 3), "sub-skill 'S1' is 3; give an object"),
