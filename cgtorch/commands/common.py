@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from ctypes.util import find_library
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, TypeVar
@@ -59,7 +59,7 @@ def run_command(command: click.Command) -> None:
     before = {each: signal.getsignal(each) for each in map(signal.Signals.__getitem__, names)}
     for each, handler in before.items():
         if handler != signal.SIG_IGN:  # as nohup does
-            signal.signal(each, _interrupt)
+            signal.signal(each, partial(_interrupt, os.getpid()))
     try:
         _call(command, name)
     except click.exceptions.Exit as e:
@@ -111,8 +111,14 @@ def _call(command: click.Command, name: str) -> None:
         raise
 
 
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    """Treat a request to terminate, or a terminal that is closed, like Ctrl-C."""
+def _interrupt(process: int, number: int, frame: FrameType | None) -> NoReturn:
+    """Treat a request to terminate, or a terminal that is closed, like Ctrl-C.
+
+    It ends a process that code of the user's has forked from this one, without a word.
+    """
+    if os.getpid() != process:
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
     _interrupts.append(number)
     raise KeyboardInterrupt
 

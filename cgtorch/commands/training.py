@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from cgtorch.commands.common import resumable
-from cgtorch.domains.domain import bounded, rewarded
+from cgtorch.domains.domain import most_lanes, rewarded
 from cgtorch.domains.registry import TABLETOP, is_code, with_name
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.ground import distributed as ranks
@@ -72,11 +72,11 @@ def carry_on(
 def usual_processes(run: StoredRun) -> int:
     """One for each core where skills evolve in a world whose episodes take long, else one.
 
-    Each of them has at least `FEWEST` individuals to try.
+    Each of them has at least `FEWEST` individuals to try, and a lane.
     """
-    if run.learns or not run.repeats or not bounded(run.domain):
+    if run.learns or not run.repeats or (lanes := most_lanes(run.domain)) is None:
         return 1
-    return max(1, min(ranks.cores(), evolution_settings(run).population // FEWEST))
+    return max(1, min(ranks.cores(), lanes, evolution_settings(run).population // FEWEST))
 
 
 def _train(work: Work, quiet: bool) -> None:

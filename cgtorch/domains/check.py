@@ -16,12 +16,14 @@ from cgtorch.domains.world import World
 from cgtorch.graphs import Action, ActionSet, Step
 from cgtorch.ground.dry_run import (
     ROWS,
+    check_default_type,
     check_environment,
     expect,
     kind,
-    repeats_itself,
     returned,
     two_rows,
+    what_differs,
+    what_is_shared,
 )
 from cgtorch.ground.environment import Environment, Rewarded, ScenarioBatch, start_lanes
 from cgtorch.ground.errors import ActionError, DomainError
@@ -34,6 +36,7 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
     DomainError or WorldError says what is wrong. Nothing is asked of a live world.
     """
     who = type(domain).__name__
+    check_default_type(who)
     _check_names(domain, who)
     if scenarios not in domain.kinds:
         known = ", ".join(domain.kinds)
@@ -49,12 +52,19 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
     check_environment(world)
     if isinstance(world, Rewarded):
         _check_rewards(world, who)
-    repeats = domain.repeats and repeats_itself(world)
-    if isinstance(world, Rewarded) and not repeats:
+    differs = what_differs(world) if domain.repeats else "it is said not to repeat itself"
+    if isinstance(world, Rewarded) and differs:
         raise DomainError(
             f"{who} gives rewards, and its world gave something else when it was called twice with "
-            "the same arguments; noise belongs to a scenario, so draw it in Domain.draw, or in an "
-            "environment of Gymnasium from self.np_random"
+            f"the same arguments ({differs}); noise belongs to a scenario, so draw it in "
+            "Domain.draw, or in an environment of Gymnasium from self.np_random, and keep nothing "
+            "of an earlier episode"
+        )
+    if not differs and (shared := what_is_shared(world)):
+        raise DomainError(
+            f"{who}'s world showed something else when its scenarios began in another order "
+            f"({shared}); let what one scenario does change nothing in another one, and keep no "
+            "state in classes or modules, or from one episode to the next"
         )
     for name, size in (("percept", world.percept_size), ("control", world.control_size)):
         if (given := len(getattr(domain, name))) != size:
@@ -68,7 +78,7 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
     actions = returned(DomainError, f"{who}.actions", domain.actions)
     if not isinstance(actions, ActionSet):
         raise DomainError(f"{who}.actions returned {kind(actions)}; return an ActionSet")
-    return repeats
+    return not differs
 
 
 def _check_names(domain: Domain[Any], who: str) -> None:

@@ -184,9 +184,10 @@ def episodic(domain: Domain[Any]) -> bool:
     return isinstance(domain.world(domain.draw(domain.kinds[0], 1, Generator())), Episodic)
 
 
-def bounded(domain: Domain[Any]) -> bool:
-    """Whether a domain's world cannot run many lanes at once."""
-    return isinstance(domain.world(domain.draw(domain.kinds[0], 1, Generator())), Bounded)
+def most_lanes(domain: Domain[Any]) -> int | None:
+    """How many lanes a domain's world can run at once; None if these are many."""
+    world = domain.world(domain.draw(domain.kinds[0], 1, Generator()))
+    return world.most_lanes if isinstance(world, Bounded) else None
 
 
 def noisy(domain: Domain[Any]) -> bool:

@@ -21,7 +21,7 @@ from torch import Generator, Tensor
 from cgtorch.domains.domain import Domain, Specialists
 from cgtorch.domains.files import Files
 from cgtorch.domains.film import Film
-from cgtorch.domains.gymnasium_episodes import Episodes
+from cgtorch.domains.gymnasium_episodes import Episodes, Explored
 from cgtorch.domains.gymnasium_film import MODE
 from cgtorch.domains.gymnasium_limits import bounds_of_percepts
 from cgtorch.domains.gymnasium_models import GymnasiumModels
@@ -46,6 +46,7 @@ LOOKS = 20  # random episodes that tell the scale of numbers without bounds
 STEPS = 200  # of each at most
 FEW_LOOKS, FEW_STEPS = 5, 20  # where each step counts
 EVEN = 1e-9  # the largest spread of numbers that do not vary, as a share of the largest
+SINGLE = 1e-6  # the smallest difference of rewards that returns still tell, as a share
 FAMILIAR = ("is_success", "success")
 """Names in the info of a step that tell of success in many environments."""
 
@@ -94,7 +95,10 @@ class EpisodePictures(Pictures["Gymnasium"]):
         found, left_out = self.domain.known.remark, self.domain.episodes.percepts.left_out
         unasked = left_out and not self.domain.settings.percepts
         lacks = f"Percepts lack {', '.join(left_out)}, which has no fixed numbers."
-        return [*([found] if found else []), *([lacks] if unasked else [])]
+        copies, why = self.domain.episodes.most, self.domain.episodes.lacking
+        few = f"Only {copies} at once of the environment could be made, which is slow: {why}"
+        told = (found, found), (unasked, lacks), (why, few)
+        return [remark for so, remark in told if so]
 
     def film(self, skill: Skill, scenarios: Any, width: int) -> Film | None:
         """See `Pictures.film`: what the environment itself draws."""
@@ -239,8 +243,16 @@ class Gymnasium(Domain[Starts]):
                 f"environment {s.environment!r} names no return from which it counts as solved; "
                 "give one as target (--target), or a name in its info as success (--success)"
             )
+        limit = ""
+        if not seen.ended and self.episodes.most_steps == math.inf:
+            limit = (
+                f"No random episode ended within {STEPS} steps, and the environment names no "
+                "largest number of steps; if its episodes do not end, give one "
+                "(--env max_episode_steps=200)."
+            )
         if not name:
-            return Known(scaling, target=target or 0.0)
+            remarks = [limit] if limit else []
+            return Known(scaling, target=target or 0.0, remark=" ".join(remarks + _alike(seen)))
         remark = "" if s.success else f"An episode is solved by {name} in the info of a step."
         if name not in seen.infos:
             others = f"only {', '.join(seen.infos)}" if seen.infos else "as infos were empty"
@@ -248,12 +260,34 @@ class Gymnasium(Domain[Starts]):
         mean, spread = float(seen.rewards.mean()), float(seen.rewards.std())
         varies = spread > EVEN * abs(seen.rewards).max()
         about = s.success_at == "last", mean, spread if varies else 1.0
+        remark = " ".join(each for each in (remark, limit) if each)
         return Known(scaling, Success(name, *about), remark=remark)
 
     def _target(self) -> float | None:
         """The return from which an episode is solved: the one given, or the environment's own."""
         given = self.settings.target_return
-        return self.episodes.threshold if given == math.inf else given
+        own = self.episodes.threshold
+        if given != math.inf or own is None:
+            return None if given == math.inf else given
+        with suppress(TypeError, ValueError):
+            if math.isfinite(number := float(own)):
+                return number
+        raise DomainError(
+            f"environment {self.settings.environment!r} is registered with reward_threshold "
+            f"{own!r:.60}; give a number there, or the return to reach as target (--target)"
+        )
+
+
+def _alike(seen: Explored) -> list[str]:
+    """A remark if rewards of random episodes are too alike for their size to be told apart."""
+    least, most = float(seen.rewards.min()), float(seen.rewards.max())
+    size = max(abs(least), abs(most))
+    if not 0 < most - least < SINGLE * size:
+        return []
+    return [
+        f"Rewards of random episodes are as large as {size:g} and differ by {most - least:.2g} at "
+        "most, which returns cannot tell in single precision; subtract a constant (--wrappers)."
+    ]
 
 
 class SparingGymnasium(Gymnasium):

@@ -4,6 +4,7 @@ Environments are the user's own code, so here is where their errors and their nu
 """
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -25,6 +26,32 @@ FORMS = {
     "step": (5, "(observation, reward, terminated, truncated, info)"),
 }
 """What methods return: the number of parts, and their names."""
+
+
+class _Folder:
+    """The working folder of environments, which some of them change; that of this process stays."""
+
+    own = ""
+
+    def call(self, code: Callable[[], Any]) -> Any:
+        """The result of foreign code, called where it was when it was last called."""
+        try:
+            here = os.getcwd()
+        except FileNotFoundError:  # it was deleted
+            return code()
+        if self.own:
+            os.chdir(self.own)
+        try:
+            return code()
+        finally:
+            self.own = os.getcwd()
+            if self.own == here:
+                self.own = ""
+            else:
+                os.chdir(here)
+
+
+in_its_folder = _Folder().call
 
 
 @dataclass
@@ -92,7 +119,7 @@ class Episode:
     def _asked(self, method: str, call: Callable[[], Any]) -> tuple[Any, ...]:
         """What a method returns, its first part as numbers; WorldError if it has another form."""
         try:
-            found = call()
+            found = in_its_folder(call)
         except (CgtorchError, KeyboardInterrupt):
             raise
         except BaseException as e:  # SystemExit, too, as it would end the program without a word

@@ -6,8 +6,12 @@ continues from an earlier step is played again up to there, and so is one whose 
 given to another episode.
 """
 
+import atexit
 import os
+import threading
+import weakref
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from typing import Any
@@ -15,43 +19,54 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgtorch.domains.gymnasium_episode import Episode
+from cgtorch.domains.gymnasium_episode import Episode, in_its_folder
 from cgtorch.domains.gymnasium_film import Filmed
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of, tried
 from cgtorch.domains.registry import NOT_FOUND, foreign
-from cgtorch.ground.errors import DomainError, WorldError
+from cgtorch.ground.dry_run import check_default_type, failed_at, reason
+from cgtorch.ground.errors import CgtorchError, DomainError, WorldError
 from cgtorch.native.processes import counted
 
 MOST = 64
 """Number of environments at once; see docs/decisions/interface.md."""
+_AT_END = getattr(threading, "_register_atexit", atexit.register)
+"""Has a function called at the end, before threads that an environment has started are joined."""
 
 
 @dataclass(frozen=True)
 class Explored:
-    """What random episodes have shown: percepts (N, D), rewards (M,), and the names in infos."""
+    """What random episodes have shown.
+
+    These are percepts (N, D), rewards (M,), the names in infos, and whether any episode ended.
+    """
 
     percepts: NDArray[Any]
     rewards: NDArray[np.float64]
     infos: tuple[str, ...]
+    ended: bool
 
 
 class Episodes:
-    """Episodes of one environment in batches, which share at most `MOST` copies of it.
+    """Episodes of one environment in batches, which share at most `most` copies of it.
 
     `percepts` and `controls` are what its observations and `actions` are made of. `threshold` is
     the return from which it counts as solved, if it has one, and `most_steps` the length of an
     episode at most. `batch` counts batches; only episodes of
-    the last batch can continue.
+    the last batch can continue. `most` is `MOST`, or how many copies could be made, and `lacking`
+    says why there are no more. They are closed when nobody needs these episodes any more.
     """
 
     def __init__(self, settings: GymnasiumSettings) -> None:
         """Make the first environment; DomainError if it cannot be made or has other spaces."""
         self._settings = settings
         self._wrappers = [_wrapper(spec) for spec in settings.wrappers]
+        self.most, self.lacking = MOST, ""
+        self._open = list[tuple[int, Any]]()
+        _AT_END(weakref.finalize(self, _close, self._open))
+        self._process, self._parents = os.getpid(), dict[int, Any]()
         first, self._limit, self.threshold = self._made()
         self._having = {0: first}  # the environments of episodes, the last one used last
-        self._process, self._parents = os.getpid(), dict[int, Any]()
         self._played = dict[int, Episode]()
         name, self.actions = settings.environment, _space(first, "action_space")
         seen = _space(first, "observation_space")
@@ -112,6 +127,7 @@ class Episodes:
     def explored(self, count: int, most: int) -> Explored:
         """What `count` episodes with random actions show, with at most `most` steps in each."""
         percepts, rewards, infos = list[NDArray[Any]](), list[float](), set[str]()
+        ended = False
         actions = tried(self.actions)
         actions.seed(0)
         more = counted("random episodes", count)
@@ -123,9 +139,10 @@ class Episodes:
                 rewards.append(reward)
                 infos.update(info)
                 if over:
+                    ended = True
                     break
             more(1)
-        return Explored(np.stack(percepts), np.array(rewards), tuple(sorted(infos)))
+        return Explored(np.stack(percepts), np.array(rewards), tuple(sorted(infos)), ended)
 
     def _begun(self, slot: int, seed: int) -> NDArray[Any]:
         """Begin an episode; returns its first percept."""
@@ -137,18 +154,25 @@ class Episodes:
         """The environment of an episode: its own, or a new one, or the one used longest ago.
 
         A forked process leaves those of its parent alone, which may hold a window or a connection.
+        Some may exist only once, because of a licence, so one that cannot be made is no error
+        where others can be used.
         """
         if self._process != os.getpid():
             self._process, self._parents, self._having = os.getpid(), self._having, {}
         found = self._having.pop(slot, None)
-        if found is None and len(self._having) < MOST:
-            found = self._made()[0]
-        elif found is None:
+        if found is None and len(self._having) < self.most:
+            try:
+                found = self._made()[0]
+            except DomainError as e:
+                if not self._having:
+                    raise
+                self.most, self.lacking = len(self._having), str(e)
+        if found is None:
             found = self._having.pop(next(iter(self._having)))
         self._having[slot] = found
         return found
 
-    def _made(self) -> tuple[Any, float, float | None]:
+    def _made(self) -> tuple[Any, float, Any]:
         """A new environment, its limit of steps, and its threshold.
 
         The limit is kept here, which is faster than by Gymnasium's wrappers, but not with wrappers
@@ -158,12 +182,25 @@ class Episodes:
         from gymnasium.wrappers import OrderEnforcing, TimeLimit
 
         name, keywords = self._settings.environment, self._settings.keywords
-        made: Any = foreign(
-            lambda: gymnasium.make(name, disable_env_checker=True, **keywords),
-            f"Gymnasium cannot make environment {name!r}",
-            "is it spelt right, is its package installed and its module given (module:ENV_ID), and "
-            "does it have these keywords (--env)?",
-        )
+        try:
+            made: Any = in_its_folder(
+                lambda: gymnasium.make(name, disable_env_checker=True, **keywords)
+            )
+        except CgtorchError:
+            raise
+        except Exception as e:
+            place = failed_at(e)
+            advice = "correct it there" if place else "correct that first"
+            if isinstance(e, gymnasium.error.UnregisteredEnv | ImportError) and not place:
+                advice = "is it spelt right, its package installed, and its module given "
+                advice += "(module:ENV_ID)?"
+            if "keyword argument" in str(e):
+                advice = "does it have these keywords (--env)?"
+            if self._parents:
+                advice += " If only one may exist, use one process (--processes 1)."
+            raise DomainError(
+                f"Gymnasium cannot make environment {name!r} ({reason(e)}){place}; {advice}"
+            ) from e
         threshold = getattr(made.spec, "reward_threshold", None)
         limit = getattr(made.spec, "max_episode_steps", None) or float("inf")
         self.most_steps = float(limit)
@@ -171,8 +208,18 @@ class Episodes:
             made = made.env
         for spec, wrap in zip(self._settings.wrappers, self._wrappers, strict=True):
             made = _wrapped(spec, wrap, made)
-        own = None if threshold is None else float(threshold)
-        return made, float("inf") if self._wrappers else limit, own
+        self._open.append((os.getpid(), made))
+        check_default_type(f"environment {name!r}")
+        return made, float("inf") if self._wrappers else limit, threshold
+
+
+def _close(environments: list[tuple[int, Any]]) -> None:
+    """Close environments that this process has made, whose own errors no longer matter."""
+    for process, environment in environments:
+        if process == os.getpid():
+            with suppress(Exception):
+                environment.close()
+    environments.clear()
 
 
 def _space(environment: Any, name: str) -> Any:

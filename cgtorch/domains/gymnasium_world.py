@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from cgtorch.domains.gymnasium_episode import KEYS, Episode
-from cgtorch.domains.gymnasium_episodes import MOST, Episodes
+from cgtorch.domains.gymnasium_episodes import Episodes
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import WorldError
 
@@ -53,7 +53,7 @@ class Success:
                 return number > 0.5
         raise WorldError(
             f"the info of {episode.where} has {self.name} {value!r:.60}; name something in it that "
-            "is a number, or true or false (--success)"
+            "is a number, or true or false (--success), or wrap it (--wrappers)"
         )
 
 
@@ -139,8 +139,12 @@ class Played(GymnasiumWorld):
     key of its sequence of actions.
     """
 
-    most_lanes = MOST
     columns = KEY + 1
+
+    @property
+    def most_lanes(self) -> int:
+        """See `Bounded.most_lanes`."""
+        return self._episodes.most
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""

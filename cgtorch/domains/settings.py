@@ -55,7 +55,9 @@ def check_options(settings: Any) -> None:
         if isinstance(f.default, int):
             also = about.get("also", ())
             usable = type(value) is int and (least <= value <= most or value in also)
-            wanted = " or ".join([f"give a whole number of at least {least}", *map(str, also)])
+            above = type(value) is int and value > most
+            bound = f"at most {most}" if above else f"at least {least}"
+            wanted = " or ".join([f"give a whole number of {bound}", *map(str, also)])
         elif isinstance(f.default, float):  # no comparison holds for nan
             usable = type(value) in (int, float) and least <= value <= most
             wanted = f"give a number from {least} to {most}"
@@ -120,8 +122,10 @@ def from_plain(kind: type[T], data: Any) -> T:
     if isinstance(data, dict):
         before = {name: f.metadata.get("before") for name, f in names.items()}
         data = {**{name: value for name, value in before.items() if value is not None}, **data}
-    if not isinstance(data, dict) or set(data) != set(names):
-        odd = sorted(set(names) ^ set(data))[0] if isinstance(data, dict) else repr(data)[:40]
+    if not isinstance(data, dict):
+        raise SettingsError(f"settings are {data!r:.40}, so each is unknown or missing; give all")
+    if set(data) != set(names):
+        odd = sorted(set(names) ^ set(data))[0]
         raise SettingsError(f"setting {odd!r} is unknown or missing; is this run of this version?")
     values = dict(data)
     for name, value in data.items():

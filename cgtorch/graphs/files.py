@@ -27,6 +27,7 @@ FORMAT, VERSION = "cgtorch-skill", 2
 MAX_BYTES = 32 * 2**20
 MAX_NODES = 10_000
 MAX_DEPTH = 32
+LONGEST = 1000  # characters of a name, as it is printed
 LIBRARY = "cgtorch."
 """The modules from which the class of an action in a file is imported."""
 LARGEST = 2**20  # parameters, or numbers of a message or memory
@@ -137,9 +138,9 @@ def _read(
     edges = [_check_keys(e, _EDGE, f"edge {i} of {what}") for i, e in enumerate(skill["edges"])]
     if len(nodes) > MAX_NODES:
         raise GraphError(f"{what} has {len(nodes)} nodes; at most {MAX_NODES} can be read")
-    if skill["max_transitions"] < 1 or skill["max_transitions"] > 2**31:
+    if not 1 <= skill["max_transitions"] <= 2**31:
         raise GraphError(
-            f"{what} has max_transitions {_short(skill['max_transitions'])}; give at least 1"
+            f"{what} has max_transitions {_short(skill['max_transitions'])}; give 1 to {2**31}"
         )
     used = [key for key in dict.fromkeys(n["action"] for n in nodes) if key in entries]
     for key in used:
@@ -185,6 +186,9 @@ def _check_keys(data: object, keys: Mapping[str, type], what: str) -> Mapping[st
     for key, kind in keys.items():
         if not isinstance(data[key], kind) or isinstance(data[key], bool):
             raise GraphError(f"{what} has {key} {_short(data[key])}; give {_KIND[kind]}")
+        if kind is str and len(data[key]) > LONGEST:
+            said = f"{_short(data[key])} of {len(data[key])} characters"
+            raise GraphError(f"{what} has {key} {said}; give at most {LONGEST}")
     return data
 
 

@@ -14,10 +14,11 @@ import torch
 from torch import Tensor
 
 from cgtorch.ground.environment import Environment, Lanes, Rewarded, start_lanes
-from cgtorch.ground.errors import CgtorchError, WorldError
+from cgtorch.ground.errors import CgtorchError, DomainError, WorldError
 
 ROWS = 2
 MOTIONS = 3  # until it is said that a world repeats itself
+ROUNDED = 1e-4  # largest difference of what is the same, as a share
 LIBRARIES = tuple(
     Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib", "scripts")
 )
@@ -153,25 +154,57 @@ def check_environment(environment: Environment, device: torch.device | str = "cp
         raise WorldError(f"{success} returned {chance.tolist()}; return probabilities")
 
 
-def repeats_itself(environment: Environment) -> bool:
-    """Whether a checked environment shows the same when it is called again."""
+def what_differs(environment: Environment) -> str:
+    """What a checked environment shows otherwise when it is called again, or "" if nothing does."""
     name = type(environment).__name__
     once, again = (returned(WorldError, name, _shown, environment) for _ in range(2))
-    return all(map(torch.equal, once, again))
+    return _first_difference(once, again, 0.0)
 
 
-def _shown(environment: Environment) -> tuple[Tensor, ...]:
-    """Percepts and other results of the methods on two scenarios."""
+def what_is_shared(environment: Environment) -> str:
+    """What two scenarios show otherwise when they begin in another order, or "" if nothing does.
+
+    Numbers of the same rows in other places of a batch may be rounded otherwise.
+    """
+    name = type(environment).__name__
+    once, turned = (returned(WorldError, name, _shown, environment, turn) for turn in (False, True))
+    back = {what: numbers.flip(0) for what, numbers in turned.items()}
+    return _first_difference(once, back, ROUNDED)
+
+
+def _first_difference(one: dict[str, Tensor], other: dict[str, Tensor], rounded: float) -> str:
+    """The first of results by name that differ by more than a share, else ""."""
+    for what, numbers in one.items():
+        a, b = (each.double().nan_to_num().view(ROWS, -1) for each in (numbers, other[what]))
+        wrong = ((a - b).abs() > rounded * torch.maximum(a.abs(), b.abs()).clamp(min=1)).nonzero()
+        if len(wrong):
+            row, column = wrong[0].tolist()
+            return f"{what.format(column + 1)}: {float(a[row, column])} and {float(b[row, column])}"
+    return ""
+
+
+def _shown(environment: Environment, turned: bool = False) -> dict[str, Tensor]:
+    """Percepts and other results of the methods on two scenarios, by what they are."""
     size, scenario = environment.control_size, two_rows(environment.num_scenarios)
-    lanes, seen = start_lanes(environment, scenario, size, 0), list[Tensor]()
-    for _ in range(MOTIONS):
-        seen.append(lanes.percept)
+    lanes = start_lanes(environment, scenario.flip(0) if turned else scenario, size, 0)
+    seen = {"number {} of the first percept": lanes.percept}
+    for motion in range(1, MOTIONS + 1):
         lanes, done = environment.step(lanes, lanes.percept.new_zeros(ROWS, size))
-        seen.append(done)
+        seen[f"whether motion {motion} could be done"] = done
+        seen[f"number {{}} of the percept after motion {motion}"] = lanes.percept
         if isinstance(environment, Rewarded):
-            seen.append(environment.returns(lanes))
+            seen[f"the return after motion {motion}"] = environment.returns(lanes)
     tested, chance = environment.success(lanes)
-    return tuple(each.nan_to_num() for each in (*seen, lanes.percept, tested.percept, chance))
+    return seen | {"number {} of the percept after a test": tested.percept, "success": chance}
+
+
+def check_default_type(who: str) -> None:
+    """DomainError if code of the user's has changed the type that torch gives to new tensors."""
+    if (given := torch.get_default_dtype()) != torch.float32:
+        raise DomainError(
+            f"{who} sets torch's default type to {given}, in which skills cannot be computed; "
+            "leave it at torch.float32, and give tensors of yours their type (dtype=...)"
+        )
 
 
 def _check_size(environment: Environment, attribute: str) -> None:

@@ -84,10 +84,15 @@ def _begin(work: Callable[[int], Any], parent: int) -> None:
     threading.Thread(target=follow, args=(parent,), daemon=True).start()
 
 
-def follow(parent: int) -> None:
-    """Exit when the parent process ends, even if it was killed."""
+def follow(parent: int, group: bool = False) -> None:
+    """Exit when the parent process ends, even if it was killed.
+
+    A leader of a process group ends its `group`, too.
+    """
     while os.getppid() == parent:
         time.sleep(1)
+    if group:
+        os.killpg(0, signal.SIGKILL)
     os._exit(1)
 
 

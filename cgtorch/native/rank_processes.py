@@ -1,7 +1,8 @@
 """Ranks that a process starts itself, on this machine: forks of it, which do its work together.
 
 The first rank is the process that starts the others, and the only one that writes and speaks. The
-others end with it, whatever becomes of it. They do not hear Ctrl-C, which is for the first.
+others end with it, whatever becomes of it, and so do processes that code of the user's has started
+in them. They do not hear Ctrl-C, which is for the first.
 """
 
 import gc
@@ -11,6 +12,7 @@ import pickle
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,6 +30,7 @@ from cgtorch.native.processes import follow
 
 LOCAL = "LOCAL_WORLD_SIZE"  # the variable of torchrun that `ranks.cores` reads
 PATIENCE = 10.0  # s in which a rank says why it has ended, or ends after all others
+LOOK = 0.1  # s after which it is looked whether one has ended
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,8 @@ def end_others() -> None:
         return
     os.environ[LOCAL] = "1"
     for other in _others:
+        with suppress(ProcessLookupError, PermissionError):  # where it has no group (yet, or more)
+            os.killpg(other.process.pid or 0, signal.SIGKILL)
         other.process.kill()
     for other in _others:
         other.process.join()
@@ -107,7 +112,8 @@ def _start(work: Callable[[], None], meet: str, count: int) -> None:
     for rank in range(1, count):
         line, other_end = context.Pipe(duplex=False)
         about = work, meet, rank, count, os.getpid(), other_end
-        process = context.Process(target=_other, args=about, daemon=True)
+        # It is no daemon, as those may not start the processes that an environment may need.
+        process = context.Process(target=_other, args=about, daemon=False)
         process.start()
         other_end.close()
         _others.append(Other(process, line))
@@ -117,10 +123,11 @@ def _other(
     work: Callable[[], None], meet: str, rank: int, count: int, parent: int, line: Connection
 ) -> NoReturn:
     """Do the work as another rank, and end the process."""
+    os.setpgid(0, 0)
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the first rank hears it, and ends this one
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=follow, args=(parent,), daemon=True).start()
+    threading.Thread(target=follow, args=(parent, True), daemon=True).start()
     sys.stdout = sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115  as long as the process
     for stream in (1, 2):  # of the system, as libraries write there
         os.dup2(sys.stdout.fileno(), stream)
@@ -148,17 +155,31 @@ def _pickled(error: BaseException) -> bytes:
 
 
 def _say_why_not(lost: ranks.RankLostError | None = None) -> None:
-    """Raise the error of another rank, if one has failed; wait for those that have not ended."""
-    running = list(_others)
-    while running and wait([other.process.sentinel for other in running], PATIENCE):
+    """Raise the error of another rank, if one has failed; wait for those that have not ended.
+
+    Processes that code of the user's has forked from a rank keep its sentinel and its line open.
+    """
+    running, until = list(_others), time.monotonic() + PATIENCE
+    while running and time.monotonic() < until:
+        wait([other.process.sentinel for other in running], LOOK)
         for other in [each for each in running if not each.process.is_alive()]:
             running.remove(other)
+            until = time.monotonic() + PATIENCE
             with suppress(EOFError):  # it has said nothing
-                raise pickle.loads(other.line.recv_bytes()) from lost  # noqa: S301  of our own
+                if other.line.poll():
+                    raise pickle.loads(other.line.recv_bytes()) from lost  # noqa: S301  of our own
             if (code := other.process.exitcode) and code < 0:
                 place, count = _others.index(other) + 2, len(_others) + 1
                 raise RunError(
-                    f"process {place} of {count} of this run was killed by signal {-code}, perhaps "
-                    "because memory ran out; finished work is kept; continue with --resume, with "
+                    f"process {place} of {count} of this run was killed by signal {-code}, "
+                    f"{_perhaps(-code)}; finished work is kept; continue with --resume, with "
                     "fewer processes if it happens again (--processes)"
                 ) from lost
+
+
+def _perhaps(number: int) -> str:
+    """Why a process may have been killed by a signal."""
+    if number in (signal.SIGKILL, signal.SIGTERM):
+        return "perhaps because memory ran out"
+    name = signal.strsignal(number) or "no known one"
+    return f"which compiled code raises, perhaps that of an environment ({name.lower()})"

@@ -7,13 +7,12 @@ from typing import Any
 
 from cgtorch.domains.domain import Adaptable, Domain
 from cgtorch.domains.registry import make_domain
-from cgtorch.domains.settings import from_plain
 from cgtorch.graphs import Skill, load_skill, resolve_actions
 from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import ActionError, GraphError, RunError, SettingsError
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import ASIDE, DATA, load_dataset
-from cgtorch.runs.stored_run import SKILL, StoredRun, read_about, read_run
+from cgtorch.runs.stored_run import SKILL, StoredRun, read_about, read_run, settings_in
 
 EXPORTED = (".pt2", ".onnx", ".py")
 """The ends of names of exports that programs run."""
@@ -73,7 +72,7 @@ def stored_domain(path: Path) -> str | None:
     """The domain's name of a run or a stage; None without a run, RunError if it is damaged."""
     for folder in (path, path.absolute().parent):
         if (folder / "run.json").is_file():
-            return from_plain(RunSettings, read_about(folder).get("settings")).domain
+            return settings_in(folder, RunSettings, read_about(folder).get("settings")).domain
     return None
 
 

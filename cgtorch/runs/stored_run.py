@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
@@ -53,6 +53,7 @@ from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings
 from cgtorch.runs.writer import WRITER
 
+T = TypeVar("T")
 FORMAT, VERSION = "cgtorch-run", 6
 SKILL = "skill.json"
 AUTO = "auto"
@@ -241,7 +242,7 @@ def read_run(
             that is trusted.
     """
     about = read_about(folder)
-    settings = from_plain(RunSettings, about.get("settings"))
+    settings = settings_in(folder, RunSettings, about.get("settings"))
     named = domain if domain is None or isinstance(domain, str) else spec_of(domain)[0]
     if named is not None and named != settings.domain:
         raise DomainError(
@@ -272,11 +273,19 @@ def read_run(
         )
     if isinstance(domain, Domain):
         return _checked(folder, settings, domain, driver or "")
-    own = from_plain(settings_class(settings.domain), about.get("domain_settings"))
+    own = settings_in(folder, settings_class(settings.domain), about.get("domain_settings"))
     check_name(settings.domain, own)
     made = domain_class(settings.domain)
     read = made.files.read(made, own, folder)
     return _checked(folder, settings, read, driver or "")
+
+
+def settings_in(folder: Path, kind: type[T], data: Any) -> T:
+    """Settings from the data of a run's run.json, which a SettingsError names."""
+    try:
+        return from_plain(kind, data)
+    except SettingsError as e:
+        raise SettingsError(f"in {str(folder / 'run.json')!r}, {e}") from e
 
 
 def read_about(folder: Path) -> dict[str, Any]:

@@ -69,18 +69,28 @@ def load_model_and_report(path: str | Path, kinds: Kinds = MACHINES) -> tuple[Mo
     path = Path(path)
     data = read_bytes(path, MAX_BYTES, ModelError)
     try:
+        return _loaded(path, data, kinds)
+    except ModelError as error:
+        raise ModelError(f"{error}; restore the file") from error
+
+
+def _loaded(path: Path, data: bytes, kinds: Kinds) -> tuple[Model, Any]:
+    """The model and report in the data of a file."""
+    try:
         state = tensors_of(data)
         header = _header(path, notes_of(data).get("cgtorch"), kinds)
     except (ValueError, TypeError, KeyError) as error:
         if isinstance(error, ModelError):
             raise
-        raise ModelError(f"model file {path} is damaged: {error}") from error
+        raise ModelError(f"model file {str(path)!r} is damaged: {error}") from error
     model = kinds[header["kind"]]()
     _check(path, model, state)
     try:
         model.load_state_dict(state)
     except RuntimeError as error:
-        raise ModelError(f"model file {path} does not hold a whole {header['kind']}") from error
+        raise ModelError(
+            f"model file {str(path)!r} does not hold a whole {header['kind']}"
+        ) from error
     return model.to(state[f"{_machine(model)[0]}centres"].dtype).eval(), header.get("report")
 
 
@@ -89,17 +99,20 @@ def _header(path: Path, text: str | None, kinds: Kinds) -> dict[str, Any]:
     try:
         header = json.loads(text or "")
     except (ValueError, TypeError, RecursionError) as error:
-        raise ModelError(f"{path} is no cgtorch model: it has no readable header") from error
+        raise ModelError(f"{str(path)!r} is no cgtorch model: it has no readable header") from error
     if not isinstance(header, dict) or header.get("format") != "cgtorch-model":
-        raise ModelError(f"{path} is no cgtorch model")
+        raise ModelError(f"{str(path)!r} is no cgtorch model")
     if header.get("version") != VERSION:
         raise ModelError(
-            f"model file {path} has version {header.get('version')!r}; this cgtorch reads {VERSION}"
+            f"model file {str(path)!r} has version {header.get('version')!r}; this cgtorch reads "
+            f"{VERSION}"
         )
     if header.get("kind") not in kinds:
-        raise ModelError(f"model file {path} holds an unknown model {header.get('kind')!r}")
+        raise ModelError(f"model file {str(path)!r} holds an unknown model {header.get('kind')!r}")
     if header.get("settings") != _SETTINGS:
-        raise ModelError(f"model file {path} has unusable settings {header.get('settings')!r:.200}")
+        raise ModelError(
+            f"model file {str(path)!r} has unusable settings {header.get('settings')!r:.200}"
+        )
     return header
 
 
@@ -108,11 +121,13 @@ def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
     expected = model.state_dict()
     if set(expected) != set(state):
         odd = sorted(set(expected) ^ set(state))[:3]
-        raise ModelError(f"model file {path} has missing or unknown tensors: {', '.join(odd)}")
+        raise ModelError(
+            f"model file {str(path)!r} has missing or unknown tensors: {', '.join(odd)}"
+        )
     for name, value in state.items():
         wrong = _wrong(name.split(".")[-1], value, expected[name])
         if wrong:
-            raise ModelError(f"model file {path}: {name} has {wrong}")
+            raise ModelError(f"model file {str(path)!r}: {name} has {wrong}")
     place, machine = _machine(model)
     (m, d), (k,) = (state[f"{place}{name}"].shape for name in ("centres", "bias"))
     inner: dict[str, tuple[int, ...]] = {
@@ -123,7 +138,9 @@ def _check(path: Path, model: Model, state: dict[str, Tensor]) -> None:
     shapes |= {} if model is machine else model.shapes(d)  # type: ignore[operator]
     bad = [name for name, shape in shapes.items() if state[name].shape != shape]
     if bad or 0 in (m, d, k) or (k > 1 and isinstance(machine, SVC)):
-        raise ModelError(f"model file {path}: {', '.join(bad) or 'centres'} of a wrong shape")
+        raise ModelError(
+            f"model file {str(path)!r}: {', '.join(bad) or 'centres'} of a wrong shape"
+        )
 
 
 def _wrong(name: str, value: Tensor, expected: Tensor) -> str:

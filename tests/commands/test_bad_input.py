@@ -206,7 +206,8 @@ def test_a_run_with_an_unknown_setting_or_without_a_skill(
     shell: Shell, trained: Trained, run_folder: Path, tmp_path: Path
 ) -> None:
     edited(run_folder, {"colour": "red"})
-    assert "'colour' is unknown or missing" in shell.refuses(EVALUATE, run_folder)
+    said = shell.refuses(EVALUATE, run_folder)
+    assert f"in '{run_folder / 'run.json'}', setting 'colour' is unknown or missing" in said
     empty = copied(trained, tmp_path / "empty", ())
     said = f"no skill of an interrupted one; finish one with cgtorch-train --resume {empty}"
     assert said in shell.refuses(EVALUATE, empty)

@@ -182,16 +182,17 @@ def test_what_became_of_additional_actions_is_said(trained: Trained) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cores", "population", "processes"), [(1, 400, 1), (3, 400, 3), (9, 24, 6), (9, 3, 1)]
+    ("cores", "population", "lanes", "processes"),
+    [(1, 400, 64, 1), (3, 400, 64, 3), (9, 24, 64, 6), (9, 3, 64, 1), (9, 24, 1, 1)],
 )
 def test_processes_are_as_many_as_have_something_to_do(
-    monkeypatch: pytest.MonkeyPatch, cores: int, population: int, processes: int
+    monkeypatch: pytest.MonkeyPatch, cores: int, population: int, lanes: int, processes: int
 ) -> None:
     monkeypatch.setattr(ranks, "cores", lambda: cores)
-    monkeypatch.setattr(training, "bounded", lambda domain: True)
+    monkeypatch.setattr(training, "most_lanes", lambda domain: lanes)
     run = planned(replace(SMALL, models="none", population=population))
     assert usual_processes(run) == processes
     assert usual_processes(replace(run, repeats=False)) == 1
     assert usual_processes(planned(replace(SMALL, population=population))) == 1
-    monkeypatch.setattr(training, "bounded", lambda domain: False)
+    monkeypatch.setattr(training, "most_lanes", lambda domain: None)
     assert usual_processes(run) == 1

@@ -5,7 +5,14 @@ from typing import Any
 import pytest
 from rail import Cart, Rail, cart_with
 
-from cgtorch.domains.domain import bounded, counting, episodic, in_world, other_measures, rewarded
+from cgtorch.domains.domain import (
+    counting,
+    episodic,
+    in_world,
+    most_lanes,
+    other_measures,
+    rewarded,
+)
 from cgtorch.ground.asked import Asked
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import SettingsError
@@ -21,13 +28,13 @@ def over(self: Rail, lanes: Lanes) -> Any:
 
 
 def test_a_world_is_known_by_what_it_has() -> None:
-    kinds = (rewarded, counting, episodic, bounded)
-    assert [kind(Cart()) for kind in kinds] == [False] * 4
-    assert [kind(with_world(asked=Asked())) for kind in kinds] == [False, True, False, False]
-    assert [kind(with_world(over=over)) for kind in kinds] == [False, False, True, False]
-    assert [kind(with_world(most_lanes=3)) for kind in kinds] == [False, False, False, True]
+    kinds = (rewarded, counting, episodic)
+    assert [kind(Cart()) for kind in kinds] == [False] * 3
+    assert [kind(with_world(asked=Asked())) for kind in kinds] == [False, True, False]
+    assert [kind(with_world(over=over)) for kind in kinds] == [False, False, True]
     returns = with_world(over=over, returns=over)
-    assert [kind(returns) for kind in kinds] == [True, False, True, False]
+    assert [kind(returns) for kind in kinds] == [True, False, True]
+    assert [most_lanes(each) for each in (Cart(), with_world(most_lanes=3))] == [None, 3]
 
 
 def test_only_an_adaptable_domain_has_other_worlds_and_measures() -> None:

@@ -56,7 +56,8 @@ def test_options_have_a_default_and_what_is_said_of_them() -> None:
 
 @pytest.mark.parametrize("bad", [0, -3, MOST + 1, 2.0, math.nan, "2", None, True, [2]])
 def test_a_count_is_a_whole_number_from_one_on(bad: object) -> None:
-    assert refused(carts=bad) == f"carts is {bad!r}; give a whole number of at least 1"
+    bound = f"at most {MOST}" if bad == MOST + 1 else "at least 1"
+    assert refused(carts=bad) == f"carts is {bad!r}; give a whole number of {bound}"
 
 
 @pytest.mark.parametrize("bad", [-0.1, 2.1, math.nan, math.inf, "1", None, True, [1.0]])

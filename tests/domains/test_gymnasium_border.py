@@ -1,6 +1,8 @@
 """What Gymnasium environments do wrong is told with the seed and the step, and data are copied."""
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -212,6 +214,88 @@ def test_an_environment_that_does_not_repeat_itself_is_told(
     domain = domain_of(monkeypatch, {what: different})
     with pytest.raises(DomainError, match="gave something else when it was called twice"):
         check_domain(domain, "starts")
+
+
+def test_episodes_that_share_a_state_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = {"latest": 0.0}
+
+    def seen(line: Line) -> Any:
+        if not line.steps:
+            kept["latest"] = line.place
+        return np.array([kept["latest"], 0.5])
+
+    domain = domain_of(monkeypatch, {"seen": seen})
+    with pytest.raises(DomainError, match=r"in another order \(number 1 of the .* no state in cla"):
+        check_domain(domain, "starts")
+
+
+def test_a_reset_that_keeps_the_last_state_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def seen(line: Line) -> Any:
+        if not line.steps:
+            line.place = getattr(line, "kept", line.place)
+        line.kept = line.place  # type: ignore[attr-defined]
+        return np.array([line.place, 0.5])
+
+    domain = domain_of(monkeypatch, {"seen": seen})
+    with pytest.raises(DomainError, match=r"keep .* from one episode to the next|of an earlier"):
+        check_domain(domain, "starts")
+
+
+@pytest.mark.parametrize("threshold", ["high", np.nan, np.inf])
+def test_a_threshold_that_is_no_number_is_told_unless_a_target_is_given(
+    monkeypatch: pytest.MonkeyPatch, threshold: Any
+) -> None:
+    monkeypatch.setattr(gymnasium.spec("Tiny/Line-v0"), "reward_threshold", threshold)
+    assert domain_of(monkeypatch, {}, target_return=3.0).target_return == 3
+    with pytest.raises(DomainError, match=rf"reward_threshold '?{threshold}'?; .*--target"):
+        domain_of(monkeypatch, {}, target_return=np.inf)
+
+
+def test_an_environment_that_may_never_end_is_remarked_upon(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    domain = domain_of(monkeypatch, {})
+    assert not domain.known.remark
+    monkeypatch.setattr(gymnasium.spec("Tiny/Line-v0"), "max_episode_steps", None)
+    assert "ended within 200 steps" in domain_of(monkeypatch, {}).known.remark
+    ending: dict[str, Change] = {"over": lambda line: line.steps > 3}
+    assert not domain_of(monkeypatch, ending).known.remark
+
+
+@pytest.mark.parametrize(("size", "alike"), [(1.0, False), (1e4, False), (1e9, True)])
+def test_rewards_that_are_alike_for_their_size_are_remarked_upon(
+    monkeypatch: pytest.MonkeyPatch, size: float, alike: bool
+) -> None:
+    domain = domain_of(monkeypatch, {"reward": lambda line: size + line.place})
+    assert ("subtract a constant (--wrappers)" in domain.known.remark) == alike
+    assert not domain_of(monkeypatch, {"reward": lambda line: size}).known.remark
+
+
+def test_an_environment_that_changes_the_working_folder_changes_only_its_own(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "own").mkdir()
+    monkeypatch.chdir(tmp_path)
+    seen = set[str]()
+
+    def moved(line: Line) -> Any:
+        if line.steps == 2:
+            os.chdir(tmp_path / "own")
+        seen.add(Path.cwd().name)
+        return 1.0
+
+    domain = domain_of(monkeypatch, {"reward": moved})
+    assert Path.cwd() == tmp_path
+    assert seen == {tmp_path.name, "own"}
+    seen.clear()
+    domain.episodes.explored(2, 1)
+    assert seen == {"own"}
+    assert Path.cwd() == tmp_path
+    back: dict[str, Change] = {"reward": lambda line: os.chdir(tmp_path) or 1.0}
+    domain_of(monkeypatch, back)
+    seen.clear()
+    domain_of(monkeypatch, {"reward": lambda line: seen.add(Path.cwd().name) or 1.0})
+    assert seen == {tmp_path.name}
 
 
 @pytest.mark.parametrize("good", [np.nan, "yes", np.zeros(2)])

@@ -1,9 +1,12 @@
 """How Gymnasium environments are made: modules, keyword arguments and wrappers of the user's."""
 
+import gc
 import json
 import pickle
+import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +14,7 @@ import pytest
 import torch
 from support import seeded
 
+from cgtorch.domains.domain import most_lanes
 from cgtorch.domains.gymnasium import Gymnasium
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.registry import full_name, is_code, make_domain, spec_of, with_name
@@ -20,8 +24,8 @@ from cgtorch.ground.errors import DomainError, SettingsError
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import planned_run, read_run, write_run
 
-pytest.importorskip("gymnasium")
-from tiny_worlds import GOAL
+gymnasium = pytest.importorskip("gymnasium")
+from tiny_worlds import GOAL, Goal  # noqa: E402
 
 SLOWER, DOUBLED = "tiny_worlds:slower", "tiny_worlds:doubled"
 
@@ -68,6 +72,64 @@ def test_keyword_arguments_are_those_of_the_environment() -> None:
         domain_of(env={"sped": 1})
     with pytest.raises(DomainError, match=r"cannot make environment 'no_such:A-v0'.*no_such"):
         domain_of("no_such:A-v0")
+
+
+class Rare(Goal):
+    """One of which few may exist at once, with a thread that ends when it is closed."""
+
+    places, open, closed = 9, 0, 0
+
+    def __init__(self) -> None:
+        if Rare.open >= self.places:
+            raise RuntimeError("the licence is in use")
+        Rare.open += 1
+        self.over = threading.Event()
+        super().__init__()
+
+    def close(self) -> None:
+        Rare.open -= 1
+        Rare.closed += 1
+        raise OSError("there is no window any more")
+
+
+gymnasium.register("Tiny/Rare-v0", Rare, max_episode_steps=5)
+
+
+@pytest.mark.parametrize("places", [1, 2])
+def test_an_environment_may_exist_only_a_few_times(
+    monkeypatch: pytest.MonkeyPatch, places: int
+) -> None:
+    monkeypatch.setattr(Rare, "places", places)
+    few, many = domain_of("Tiny/Rare-v0"), domain_of()
+    assert torch.equal(way_of(few)[1], way_of(many)[1])
+    assert most_lanes(few) == places
+    said = rf"Only {places} at once .* the licence is in use"
+    assert re.search(said, " ".join(few.pictures(few).remarks()))
+    monkeypatch.setattr(Rare, "places", 0)
+    with pytest.raises(DomainError, match=r"the licence is in use\) in line \d+.*; correct it the"):
+        domain_of("Tiny/Rare-v0")
+    del few
+    gc.collect()
+    assert Rare.open == 0
+
+
+def test_environments_are_closed_before_their_threads_are_waited_for() -> None:
+    """One that is no daemon would keep the program from ending."""
+    code = """
+import threading, tiny_worlds
+from cgtorch.domains.registry import make_domain, settings_class as kind
+
+def init(self):
+    own(self)
+    self.over = threading.Event()
+    threading.Thread(target=self.over.wait).start()
+
+own, tiny_worlds.Goal.__init__ = tiny_worlds.Goal.__init__, init
+tiny_worlds.Goal.close = lambda self: self.over.set()
+name = "gymnasium:tiny_worlds:Tiny/Goal-v0"
+domain = make_domain(name, kind(name)())
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parent, timeout=60)
 
 
 def test_values_are_json_or_python_or_texts() -> None:

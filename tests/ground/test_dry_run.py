@@ -17,15 +17,17 @@ from cgtorch.evolution import EvolutionSettings, evolve
 from cgtorch.graphs import to_networkx
 from cgtorch.ground.dry_run import (
     MOTIONS,
+    check_default_type,
     check_environment,
     failed_at,
     kind,
     reason,
-    repeats_itself,
     two_rows,
+    what_differs,
+    what_is_shared,
 )
 from cgtorch.ground.environment import Environment, Lanes
-from cgtorch.ground.errors import ActionError, ModelError, WorldError
+from cgtorch.ground.errors import ActionError, DomainError, ModelError, WorldError
 from cgtorch.simulation import ModelEnvironment
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
@@ -95,15 +97,15 @@ def test_what_differs_when_it_is_asked_again_does_not_repeat_itself(
             return replace(one, percept=one.percept + odd), two
         return one, two * (1 - odd / 2)
 
-    assert repeats_itself(Plain())
-    assert not repeats_itself(type("Own", (Plain,), {method: drawn})())
-    assert repeats_itself(world(0, 3))
-    assert repeats_itself(model(0, 3))
-    assert not repeats_itself(unrepeatable(random_scenarios("near", 3, seeded(0))))
+    assert not what_differs(Plain())
+    assert what_differs(type("Own", (Plain,), {method: drawn})())
+    assert not what_differs(world(0, 3))
+    assert not what_differs(model(0, 3))
+    assert what_differs(unrepeatable(random_scenarios("near", 3, seeded(0))))
 
 
 def test_what_is_no_number_twice_is_the_same() -> None:
-    assert repeats_itself(Blind())
+    assert not what_differs(Blind())
 
 
 def doubled(lanes: Lanes) -> Lanes:
@@ -297,7 +299,7 @@ def test_what_a_check_begins_with_has_a_message_and_no_memory() -> None:
 
     own = type("Own", (Plain,), {"step": step})()
     check_environment(own)
-    assert repeats_itself(own)
+    assert not what_differs(own)
     assert met == [(2, 1, 2, 0, [0, 1])] * (1 + 2 * MOTIONS)
 
 
@@ -326,8 +328,48 @@ def test_rewards_that_differ_when_they_are_asked_again_do_not_repeat_themselves(
         def returns(self, lanes: Lanes) -> Tensor:
             return lanes.percept[:, 0] + next(calls)
 
-    assert repeats_itself(Paid())
-    assert not repeats_itself(Lucky())
+    assert not what_differs(Paid())
+    assert what_differs(Lucky())
+
+
+def test_what_differs_is_named_with_the_step_and_both_values() -> None:
+    class Drifting(Plain):
+        drift = 0.0
+
+        def step(self, lanes: Lanes, control: Tensor) -> Any:
+            Drifting.drift += 1
+            seen = lanes.percept + torch.tensor([0, Drifting.drift])
+            return replace(lanes, percept=seen), control[:, 0] < 1
+
+    assert what_differs(Drifting()) == "number 2 of the percept after motion 1: 1.0 and 4.0"
+
+
+def test_scenarios_that_share_a_state_show_it_when_they_begin_in_another_order() -> None:
+    class Sharing(Plain):
+        last = 0.0
+
+        def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
+            Sharing.last = float(scenario[-1])
+            return super().start(scenario)
+
+        def step(self, lanes: Lanes, control: Tensor) -> Any:
+            seen = torch.full_like(lanes.percept, Sharing.last)
+            return replace(lanes, percept=seen), control[:, 0] < 1
+
+    assert not what_differs(Sharing())
+    assert what_is_shared(Sharing()) == "number 1 of the percept after motion 1: 1.0 and 0.0"
+    assert not what_is_shared(Plain())
+    assert not what_is_shared(world(0, 3))
+
+
+def test_another_default_type_of_torch_is_told() -> None:
+    torch.set_default_dtype(torch.float64)
+    try:
+        with pytest.raises(DomainError, match=r"^Own sets torch's .* torch\.float64, .*dtype="):
+            check_default_type("Own")
+    finally:
+        torch.set_default_dtype(torch.float32)
+    check_default_type("Own")
 
 
 def test_what_an_environment_is_made_of_is_named_in_its_place() -> None:

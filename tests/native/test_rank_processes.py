@@ -1,5 +1,7 @@
 """Ranks that a process starts itself: common results, errors, interrupts, and nobody left."""
 
+import faulthandler
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -14,7 +16,7 @@ import torch
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError, WorldError
 from cgtorch.native import rank_processes
-from cgtorch.native.rank_processes import end_others, in_ranks, others_started
+from cgtorch.native.rank_processes import PATIENCE, end_others, in_ranks, others_started
 
 SOON = 45  # s, far less than what the processes would take
 
@@ -162,15 +164,23 @@ def test_who_does_not_end_after_the_common_work_is_not_waited_for_long(
     assert not others_started()
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_killed_rank_is_told_once_and_says_which(number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("number", "why"),
+    [
+        (signal.SIGKILL, "perhaps because memory ran out"),
+        (signal.SIGTERM, "perhaps because memory ran out"),
+        (signal.SIGSEGV, r"compiled code raises, perhaps that of an env.*\(segmentation fault\)"),
+    ],
+)
+def test_a_killed_rank_is_told_once_and_says_which(number: signal.Signals, why: str) -> None:
     def work() -> None:
         if ranks.share(3).start == 1:
+            faulthandler.disable()  # which would print where it was
             os.kill(os.getpid(), number)
             time.sleep(60)
         ranks.wait()
 
-    says = rf"^process 2 of 3 .* killed by signal {int(number)}, .*--processes"
+    says = rf"^process 2 of 3 .* killed by signal {int(number)}, .*{why}; .*--processes"
     with pytest.raises(RunError, match=says):
         in_ranks(work, 3)
     assert not others_started()
@@ -217,6 +227,24 @@ def test_nobody_is_left_if_the_first_rank_is_killed() -> None:
     running.wait()
     assert processes[0] == running.pid
     assert all(gone(each) for each in processes[1:])
+
+
+def test_processes_that_the_work_starts_end_with_their_rank() -> None:
+    """As those of a simulator, which an environment may start without ever closing them."""
+    found = list[int]()
+
+    def work() -> None:
+        child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,))
+        child.start()
+        own = torch.tensor([child.pid])
+        found.extend(ranks.all_gather(own, 2).tolist())
+        if ranks.first():
+            child.kill()
+
+    began = time.monotonic()
+    in_ranks(work, 2)
+    assert time.monotonic() - began < PATIENCE
+    assert all(gone(each) for each in found)
 
 
 def test_where_nothing_can_be_forked_there_is_one_process(monkeypatch: pytest.MonkeyPatch) -> None:

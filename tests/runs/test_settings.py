@@ -75,7 +75,8 @@ def test_counts(name: str) -> None:
     least = LEAST.get(name, 1)
     assert getattr(RunSettings(**{name: least}), name) == least
     for bad in (least - 1, -(2**40), 2**31, 1.0, math.nan, "5", None, True, [5]):
-        assert f"{name} is {bad!r}; give a whole number of at least {least}" in refused(
+        bound = f"at most {2**31 - 1}" if bad == 2**31 else f"at least {least}"
+        assert f"{name} is {bad!r}; give a whole number of {bound}" in refused(
             RunSettings, **{name: bad}
         )
 
