@@ -39,8 +39,9 @@ def base_of(structure: Structure, named: str | None, notes: list[str]) -> Base:
     if named is not None:
         return Base(str(structure.urdf.link(named).name), given=True)
     link = _without_virtual(structure, notes)
-    if link in PLACES and len(structure.below[link]) == 1:
-        link = structure.below[link][0].child
+    joints = structure.below[link]
+    if link in PLACES and len(joints) == 1 and joints[0].type not in MOVING:
+        link = joints[0].child
     return Base(link)
 
 
@@ -119,10 +120,15 @@ def add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False)
     """Add a link at a pose in the frame of another; with `above`, as the parent of the other."""
     etree.SubElement(root, "link", name=name)
     joint = etree.SubElement(root, "joint", name=f"{name}_joint", type="fixed")
-    xyz, rpy = _words(pose[:3, 3].tolist()), _words(transformations.euler_from_matrix(pose, "sxyz"))
-    etree.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+    add_origin(joint, pose)
     etree.SubElement(joint, "parent", link=name if above else link)
     etree.SubElement(joint, "child", link=link if above else name)
+
+
+def add_origin(joint: Any, pose: Array) -> None:
+    """Say where a joint holds its child at 0: at a pose (4, 4) in the frame of its parent."""
+    xyz, rpy = _words(pose[:3, 3].tolist()), _words(transformations.euler_from_matrix(pose, "sxyz"))
+    etree.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
 
 
 def _words(numbers: Sequence[float]) -> str:

@@ -20,6 +20,7 @@ from cgtorch.tabletop.robot_folder.structure import Structure
 LEAST_JOINTS = 5  # of an arm, after the torso
 FEW_JOINTS = 4  # of an arm, where no chain with more is one
 FEWEST = 2  # joints of a chain after a body that make this body a torso
+HAND_JOINTS = 3  # before fingers of one joint; these are no arm, and neither is a finger after them
 TOLD = 3  # joints of a chain that is no arm from which it is told
 ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
 FINGERS = ((9, 0.2), (4, 0.3))  # the most joints of a finger, and how far it reaches at most, m
@@ -126,8 +127,10 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
         jaw = not _depth(structure, moved[0]) or _is_jaw(structure, link, moved[0])
         fingers = moved if jaw else []
     else:
-        plain = len(moved) > FEWEST or all(_depth(structure, joint) <= 1 for joint in moved)
-        hand = len(structure.path(link)) >= (FEW_JOINTS if plain else LEAST_JOINTS)
+        least = FEW_JOINTS if len(moved) > FEWEST else LEAST_JOINTS
+        if all(_depth(structure, joint) <= 1 for joint in moved):
+            least = HAND_JOINTS
+        hand = len(structure.path(link)) >= least
         fingers = [joint for joint in moved if hand and _is_finger(structure, joint)]
     further = [joint for joint in moved if joint not in fingers]
     if not further and link != structure.base:

@@ -330,7 +330,7 @@ def test_files_by_their_path(world):
             found(world, name)
     for name in ("a.stl", "package://a.stl"):
         assert found(world, name, urdf="ws/repo/arm_description/meshes/r.urdf") == mesh
-    with pytest.raises(RobotError, match="which is missing: there is no .*elsewhere/a.stl"):
+    with pytest.raises(RobotError, match="which is missing: there is no"):
         found(world, "package://a.stl")
 
 

@@ -46,6 +46,16 @@ def test_a_slide_alone_or_turns_alone_drive_no_base(tmp_path, ways):
     assert not any("how the base drives" in note for note in found.notes)
 
 
+def test_a_joint_that_moves_a_whole_robot_in_a_world_is_one_of_its_arm(tmp_path):
+    """The shoulder of an arm whose root is called world; a joint that fixes it there is none."""
+    found = proposed(tmp_path, link("world", ""), chain("arm", 6, "world"))
+    arm = found.words.arms[0]
+    joints = found.urdf.joints_between(arm.base_link, arm.tool_frame)
+    assert [each.name for each in joints if each.type == "revolute"] == [
+        f"arm{i}_joint" for i in range(6)
+    ]
+
+
 def test_an_arm_that_reaches_all_round_says_nothing_of_where_x_leads(tmp_path):
     arm = chain("arm", 6, "base", "0 -0.1 0", "0 0 0.4")
     round_ = arm.replace('"arm0_joint" type="revolute"', '"arm0_joint" type="continuous"')
