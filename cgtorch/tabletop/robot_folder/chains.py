@@ -68,14 +68,14 @@ class Chain:
 
 
 def chains_of(structure: Structure) -> list[Chain]:
-    """All chains of at least two joints that end somewhere, with what they are."""
+    """All chains of at least two joints that end somewhere, and fingers, with what they are."""
     ends = list(_ends(structure, structure.base))
     paths = [structure.path(link) for link, _ in ends]
     found = [
         Chain(link, tuple(path), _shared(structure, path, paths), fingers)
         for (link, fingers), path in zip(ends, paths, strict=True)
     ]
-    found = [c for c in found if len(c.own) >= FEWEST or (c.own and _is_named(structure, c))]
+    found = [c for c in found if len(c.own) >= FEWEST or (c.own and NAMED.search(c.own[0].name))]
     judged = _judged(structure, found, LEAST_JOINTS)
     if any(chain.kind == ARM for chain in judged):
         return judged
@@ -138,11 +138,6 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
         yield link, bool(fingers)
     for joint in further:
         yield from _ends(structure, joint.child)
-
-
-def _is_named(structure: Structure, chain: Chain) -> bool:
-    """Whether a chain is a finger by the name of its first joint, which others beside it share."""
-    return bool(NAMED.search(chain.own[0].name)) and is_finger(structure, chain.own[0])
 
 
 def _hand_alone(structure: Structure, found: list[Chain]) -> set[str]:

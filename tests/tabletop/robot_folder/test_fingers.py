@@ -77,10 +77,11 @@ def test_short_arms_are_no_fingers_where_there_are_two_or_they_are_longer_or_oth
 
 
 def test_fingers_are_told_by_the_names_of_their_first_joints(tmp_path):
-    urdf = load_urdf(urdf_of(tmp_path, PALM, hand("palm", (3, 4), "finger{}_")))
+    long = hand("palm", (3,), "finger{}_", "0.09 0 0") + hand("palm", (4,), "finger1{}_")
+    urdf = load_urdf(urdf_of(tmp_path, PALM, long))
     with pytest.raises(RobotError) as caught:
         propose(urdf, Wishes())
-    told = "what hangs from 'finger0_0_joint' (a finger); what hangs from 'finger1_0_joint' (a"
+    told = "what hangs from 'finger0_0_joint' (a finger); what hangs from 'finger10_0_joint' (a"
     assert told in str(caught.value)
     carried = chain("arm", 5, "base", first="0 0 1") + fingers("finger", "arm4")
     assert kinds(structure_of(tmp_path, BASE, carried)) == {"arm4": "arm"}
