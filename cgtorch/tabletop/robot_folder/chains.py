@@ -20,6 +20,7 @@ LEAST_JOINTS = 5  # of an arm, after the torso
 FEW_JOINTS = 4  # of an arm, where no chain with more is one
 FEWEST = 2  # joints of a chain after a body that make this body a torso
 HAND_JOINTS = 3  # before fingers of one joint; these are no arm, and neither is a finger after them
+CLAW = 0.2  # of the length of an arm, that of claws of one joint beside each other at most
 TOLD = 3  # joints of a chain that is no arm from which it is told
 ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
 LEAST_FINGERS = 3  # of a hand that no arm carries
@@ -128,11 +129,12 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
         jaw = not depth_of(structure, moved[0]) or is_jaw(structure, link, moved[0])
         fingers = moved if jaw else []
     else:
+        path, far = structure.path(link), 0.0
         least = FEW_JOINTS if len(moved) > FEWEST else LEAST_JOINTS
         if all(depth_of(structure, joint) <= 1 for joint in moved):
-            least = HAND_JOINTS
-        hand = len(structure.path(link)) >= least
-        fingers = [joint for joint in moved if hand and is_finger(structure, joint)]
+            least, far = HAND_JOINTS, CLAW * _length(structure, path)
+        hand = len(path) >= least
+        fingers = [joint for joint in moved if hand and is_finger(structure, joint, far)]
     further = [joint for joint in moved if joint not in fingers]
     if not further and link != structure.base:
         yield link, bool(fingers)
@@ -203,9 +205,13 @@ def _within(joint: Any, share: float) -> float:
 
 def _reach(structure: Structure, chain: Chain) -> float:
     """How far a chain could reach from its first joint, m."""
-    places = [structure.pose(joint.child)[:3, 3] for joint in chain.own]
-    lengths = np.linalg.norm(np.diff(np.stack(places), axis=0), axis=1)
-    return float(lengths.sum()) + extent(structure, chain.link)
+    return _length(structure, chain.own) + extent(structure, chain.link)
+
+
+def _length(structure: Structure, joints: Sequence[Any]) -> float:
+    """How long the way is from the first of joints over all to the last, m."""
+    places = np.array([structure.pose(joint.child)[:3, 3] for joint in joints]).reshape(-1, 3)
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
 def _legs(structure: Structure, long: list[Chain], every: list[Chain]) -> set[str]:

@@ -19,12 +19,15 @@ ASIDE = 0.2  # of its reach, how far its middle is from its axis at least
 ACROSS = 0.5  # cosine of its axis to the way to its tip
 
 
-def is_finger(structure: Structure, joint: Any) -> bool:
-    """Whether what hangs from a joint is as short as a finger, and carries no fingers itself."""
+def is_finger(structure: Structure, joint: Any, far: float = 0.0) -> bool:
+    """Whether what hangs from a joint is as short as a finger, and carries no fingers itself.
+
+    It may reach as far as a finger of a hand, or `far` (m).
+    """
     if any(len(_own(structure, link)) > 1 for link in structure.hanging(joint.child)):
         return False
     depth, reach = depth_of(structure, joint), extent(structure, joint.child)
-    return any(depth <= most and reach <= far for most, far in FINGERS)
+    return any(depth <= most and reach <= max(usual, far) for most, usual in FINGERS)
 
 
 def _own(structure: Structure, link: str) -> list[Any]:
