@@ -46,23 +46,30 @@ def base_of(structure: Structure, named: str | None, notes: list[str]) -> Base:
 
 
 def _height(structure: Structure, chains: list[list[Any]], notes: list[str]) -> float:
-    """How far the base is above the floor, m: of its footprint, or else of all but the arms."""
+    """How far the base is above the floor, m: of its footprint, or of all but the arms.
+
+    Where an arm begins below that, as it hangs from a panel or only hands collide, of all.
+    """
     known = [link for link in structure.rigid(structure.base) if "footprint" in link]
     if known:
         ground = float(structure.pose(known[0])[2, 3])
     else:
         every = structure.hanging(structure.base)
         moved = {link for chain in chains for link in structure.hanging(chain[0].child)}
-        found = [structure.points(link) for link in every if link not in moved]
-        if not any(map(len, found)):
-            found = [structure.points(link) for link in every]
-            begins = [structure.pose(chain[0].parent)[None, :3, 3] for chain in chains]
-            found += begins if any(map(len, found)) else []  # as only hands may collide
-        ground = float(np.concatenate([np.empty((0, 3)), *found])[:, 2].min(initial=math.inf))
+        begin = min((float(structure.pose(c[0].parent)[2, 3]) for c in chains), default=math.inf)
+        ground = _lowest(structure, [link for link in every if link not in moved])
+        if begin < ground - OFF_FLOOR and math.isfinite(whole := _lowest(structure, every)):
+            ground = min(whole, begin)
     if math.isfinite(ground):
         return -ground if abs(ground) > OFF_FLOOR else 0.0
     notes.append(f"nothing collides, so that {structure.base!r} is taken to be on the floor")
     return 0.0
+
+
+def _lowest(structure: Structure, links: Sequence[str]) -> float:
+    """The height of the lowest point of the shapes of links, m."""
+    points = [np.empty((0, 3)), *(structure.points(link) for link in links)]
+    return float(np.concatenate(points)[:, 2].min(initial=math.inf))
 
 
 def rest_positions(urdf: Urdf, others: Sequence[str] = ()) -> dict[str, float]:
