@@ -92,10 +92,8 @@ def _judged(structure: Structure, found: list[Chain], least: int) -> list[Chain]
     hand = _hand_alone(structure, found)
 
     def kind(chain: Chain) -> str:
-        if len(chain.own) < FEWEST:
-            return FINGER
         if chain not in long:
-            return SHORT
+            return FINGER if NAMED.search(chain.own[0].name) else SHORT
         if chain.link in legs:
             return LEG
         if chain.link in hand:

@@ -83,5 +83,8 @@ def test_fingers_are_told_by_the_names_of_their_first_joints(tmp_path):
         propose(urdf, Wishes())
     told = "what hangs from 'finger0_0_joint' (a finger); what hangs from 'finger10_0_joint' (a"
     assert told in str(caught.value)
+    far = hand("palm", (3,), "finger{}_", "0.31 0 0")
+    (found,) = chains_of(structure_of(tmp_path, PALM, far))
+    assert (len(found.own), found.kind) == (2, "a finger")  # before its tip, which is a jaw
     carried = chain("arm", 5, "base", first="0 0 1") + fingers("finger", "arm4")
     assert kinds(structure_of(tmp_path, BASE, carried)) == {"arm4": "arm"}
