@@ -171,10 +171,10 @@ def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
 
     A package is a folder with its name: in one of the places, up to three levels deep, a place
     itself, a folder around the URDF, or in one of the three nearest of these. If none has the name,
-    it is the URDF's own package, which was renamed. Any other path is relative to the URDF, and
-    must stay in its folder, its package or one of the places. Only the text of the path is checked;
-    links in a package may lead anywhere, as in a workspace of links. A file may be written with
-    other capitals than its name, as some file systems do not tell them apart.
+    it is the URDF's own package, which was renamed. Any other path is relative to the URDF, and so
+    is `package://FILE`; it must stay in its folder, its package or one of the places. Only the text
+    of the path is checked; links in a package may lead anywhere, as in a workspace of links. A file
+    may be written with other capitals than its name, as some file systems do not tell them apart.
 
     RobotError if there is no such file, or the name leads out of the permitted folders.
     """
@@ -188,13 +188,15 @@ def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
             f"URDF {str(urdf)!r} names the file {name!r}: give a path, package://PACKAGE/PATH or "
             "file://PATH"
         )
-    package, _, inside = rest.lstrip("/").partition("/")
+    package, slash, inside = rest.lstrip("/").partition("/")
     inside = posixpath.normpath(inside)
     if not _NAME.fullmatch(package):
         raise RobotError(
             f"URDF {str(urdf)!r} names the file {name!r}, which says no package: write "
             "package://PACKAGE/PATH"
         )
+    if not slash:
+        return _near(package, name, urdf, places)
     if inside.startswith(("/", "..")):
         raise RobotError(
             f"URDF {str(urdf)!r} names the file {name!r}, which leads out of the package "

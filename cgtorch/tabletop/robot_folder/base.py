@@ -39,29 +39,37 @@ def base_of(structure: Structure, named: str | None, notes: list[str]) -> Base:
     if named is not None:
         return Base(str(structure.urdf.link(named).name), given=True)
     link = _without_virtual(structure, notes)
-    if link in PLACES and len(structure.below[link]) == 1:
-        link = structure.below[link][0].child
+    joints = structure.below[link]
+    if link in PLACES and len(joints) == 1 and joints[0].type not in MOVING:
+        link = joints[0].child
     return Base(link)
 
 
 def _height(structure: Structure, chains: list[list[Any]], notes: list[str]) -> float:
-    """How far the base is above the floor, m: of its footprint, or else of all but the arms."""
+    """How far the base is above the floor, m: of its footprint, or of all but the arms.
+
+    Where an arm begins below that, as it hangs from a panel or only hands collide, of all.
+    """
     known = [link for link in structure.rigid(structure.base) if "footprint" in link]
     if known:
         ground = float(structure.pose(known[0])[2, 3])
     else:
         every = structure.hanging(structure.base)
         moved = {link for chain in chains for link in structure.hanging(chain[0].child)}
-        found = [structure.points(link) for link in every if link not in moved]
-        if not any(map(len, found)):
-            found = [structure.points(link) for link in every]
-            begins = [structure.pose(chain[0].parent)[None, :3, 3] for chain in chains]
-            found += begins if any(map(len, found)) else []  # as only hands may collide
-        ground = float(np.concatenate([np.empty((0, 3)), *found])[:, 2].min(initial=math.inf))
+        begin = min((float(structure.pose(c[0].parent)[2, 3]) for c in chains), default=math.inf)
+        ground = _lowest(structure, [link for link in every if link not in moved])
+        if begin < ground - OFF_FLOOR and math.isfinite(whole := _lowest(structure, every)):
+            ground = min(whole, begin)
     if math.isfinite(ground):
         return -ground if abs(ground) > OFF_FLOOR else 0.0
     notes.append(f"nothing collides, so that {structure.base!r} is taken to be on the floor")
     return 0.0
+
+
+def _lowest(structure: Structure, links: Sequence[str]) -> float:
+    """The height of the lowest point of the shapes of links, m."""
+    points = [np.empty((0, 3)), *(structure.points(link) for link in links)]
+    return float(np.concatenate(points)[:, 2].min(initial=math.inf))
 
 
 def rest_positions(urdf: Urdf, others: Sequence[str] = ()) -> dict[str, float]:
@@ -119,10 +127,15 @@ def add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False)
     """Add a link at a pose in the frame of another; with `above`, as the parent of the other."""
     etree.SubElement(root, "link", name=name)
     joint = etree.SubElement(root, "joint", name=f"{name}_joint", type="fixed")
-    xyz, rpy = _words(pose[:3, 3].tolist()), _words(transformations.euler_from_matrix(pose, "sxyz"))
-    etree.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+    add_origin(joint, pose)
     etree.SubElement(joint, "parent", link=name if above else link)
     etree.SubElement(joint, "child", link=link if above else name)
+
+
+def add_origin(joint: Any, pose: Array) -> None:
+    """Say where a joint holds its child at 0: at a pose (4, 4) in the frame of its parent."""
+    xyz, rpy = _words(pose[:3, 3].tolist()), _words(transformations.euler_from_matrix(pose, "sxyz"))
+    etree.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
 
 
 def _words(numbers: Sequence[float]) -> str:

@@ -6,39 +6,31 @@ they begin, and by whether they stand on the floor.
 """
 
 import math
-import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from trimesh.transformations import rotation_matrix
 
+from cgtorch.tabletop.robot_folder.fingers import NAMED, depth_of, extent, is_finger, is_jaw
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 LEAST_JOINTS = 5  # of an arm, after the torso
 FEW_JOINTS = 4  # of an arm, where no chain with more is one
 FEWEST = 2  # joints of a chain after a body that make this body a torso
+HAND_JOINTS = 3  # before fingers of one joint; these are no arm, and neither is a finger after them
+CLAW = 0.2  # of the length of an arm, that of claws of one joint beside each other at most
 TOLD = 3  # joints of a chain that is no arm from which it is told
 ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
-FINGERS = ((9, 0.2), (4, 0.3))  # the most joints of a finger, and how far it reaches at most, m
-HALF_TURN = 3.17  # rad that a jaw turns at most, with some room
-JAW = 0.6  # of the reach of a jaw, that of what it closes against
-OPEN = 0.8  # rad by which a jaw may be open at rest
-NAMED = re.compile("finger|thumb", re.IGNORECASE)  # what no joint of an arm is called
-MOST = 0.5  # of the joints before it, those that have its range if this says nothing
-ASIDE = 0.2  # of its reach, how far its middle is from its axis at least
-ACROSS = 0.5  # cosine of its axis to the way to its tip
+LEAST_FINGERS = 3  # of a hand that no arm carries
 DOWN = 0.5  # of the reach of a leg, how far below its begin the floor is
 NEAR = 0.5  # of the farthest reach of a chain, that of one that is no arm
 UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
 
-Array = npt.NDArray[np.float64]
-
-ARM, LEG, HEAD, SHORT, CLOSE, BRANCH = (
+ARM, LEG, HEAD, SHORT, CLOSE, BRANCH, FINGER = (
     "arm", "a leg", "without fingers, which others have", "too few joints", "its end is close",
-    "on another arm",
+    "on another arm", "a finger",
 )  # fmt: skip
 
 
@@ -65,20 +57,26 @@ class Chain:
         """The joints after the torso."""
         return self.joints[self.shared :]
 
+    @property
+    def before(self) -> str:
+        """The last joint of the torso, or "" without a torso."""
+        return self.joints[self.shared - 1].name if self.shared else ""
+
     def __str__(self) -> str:
         first, last = self.own[0].name, self.own[-1].name
-        return f"{len(self.own)} joints from {first!r} to {last!r}"
+        joints = f"{len(self.own)} joints from {first!r} to {last!r}"
+        return joints if len(self.own) > 1 else f"what hangs from {first!r}"
 
 
 def chains_of(structure: Structure) -> list[Chain]:
-    """All chains of at least two joints that end somewhere, with what they are."""
+    """All chains of at least two joints that end somewhere, and fingers, with what they are."""
     ends = list(_ends(structure, structure.base))
     paths = [structure.path(link) for link, _ in ends]
     found = [
         Chain(link, tuple(path), _shared(structure, path, paths), fingers)
         for (link, fingers), path in zip(ends, paths, strict=True)
     ]
-    found = [chain for chain in found if len(chain.own) >= FEWEST]
+    found = [c for c in found if len(c.own) >= FEWEST or (c.own and NAMED.search(c.own[0].name))]
     judged = _judged(structure, found, LEAST_JOINTS)
     if any(chain.kind == ARM for chain in judged):
         return judged
@@ -91,12 +89,15 @@ def _judged(structure: Structure, found: list[Chain], least: int) -> list[Chain]
     legs = _legs(structure, long, [chain for chain in found if len(chain.own) >= FEW_JOINTS])
     fingered = any(chain.fingers for chain in long if chain.link not in legs)
     reach = {chain.link: _reach(structure, chain) for chain in long if chain.link not in legs}
+    hand = _hand_alone(structure, found)
 
     def kind(chain: Chain) -> str:
         if chain not in long:
-            return SHORT
+            return FINGER if NAMED.search(chain.own[0].name) else SHORT
         if chain.link in legs:
             return LEG
+        if chain.link in hand:
+            return FINGER
         if fingered and not chain.fingers:
             return HEAD
         first = [each for each in long if each.own[0] is chain.own[0]]
@@ -123,17 +124,34 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
     """The bodies at the ends of what hangs from a link, and whether they have fingers."""
     moved = _seen_to_move(structure, structure.moved(link))
     if len(moved) == 1:
-        jaw = not _depth(structure, moved[0]) or _is_jaw(structure, link, moved[0])
+        jaw = not depth_of(structure, moved[0]) or is_jaw(structure, link, moved[0])
         fingers = moved if jaw else []
     else:
-        plain = len(moved) > FEWEST or all(_depth(structure, joint) <= 1 for joint in moved)
-        hand = len(structure.path(link)) >= (FEW_JOINTS if plain else LEAST_JOINTS)
-        fingers = [joint for joint in moved if hand and _is_finger(structure, joint)]
+        path, far = structure.path(link), 0.0
+        least = FEW_JOINTS if len(moved) > FEWEST else LEAST_JOINTS
+        if all(depth_of(structure, joint) <= 1 for joint in moved):
+            least, far = HAND_JOINTS, CLAW * _length(structure, path)
+        hand = len(path) >= least
+        fingers = [joint for joint in moved if hand and is_finger(structure, joint, far)]
     further = [joint for joint in moved if joint not in fingers]
     if not further and link != structure.base:
         yield link, bool(fingers)
     for joint in further:
         yield from _ends(structure, joint.child)
+
+
+def _hand_alone(structure: Structure, found: list[Chain]) -> set[str]:
+    """The ends of fingers that hang from one body, three or more, where nothing stands."""
+    floor = _floor(structure)
+    if any(_stands(structure, chain, floor) for chain in found):
+        return set()
+    short = [
+        chain
+        for chain in found
+        if len(chain.own) >= TOLD and not chain.fingers and is_finger(structure, chain.own[0])
+    ]
+    begins = Counter(chain.before for chain in short)
+    return {chain.link for chain in short if begins[chain.before] >= LEAST_FINGERS}
 
 
 def _seen_to_move(structure: Structure, joints: list[Any]) -> list[Any]:
@@ -183,92 +201,15 @@ def _within(joint: Any, share: float) -> float:
     return low + share * (high - low)
 
 
-def _is_finger(structure: Structure, joint: Any) -> bool:
-    """Whether what hangs from a joint is as short as a finger, and carries no fingers itself."""
-    if any(len(_own(structure, link)) > 1 for link in structure.hanging(joint.child)):
-        return False
-    depth, reach = _depth(structure, joint), _extent(structure, joint.child)
-    return any(depth <= most and reach <= far for most, far in FINGERS)
-
-
-def _own(structure: Structure, link: str) -> list[Any]:
-    """The independent joints of the rigid body that begins at a link."""
-    return [joint for joint in structure.moved(link) if joint.mimic is None]
-
-
-def _is_jaw(structure: Structure, link: str, joint: Any) -> bool:
-    """Whether a joint moves a jaw, which closes against a part of the body that carries it.
-
-    A joint that is called a finger's is one.
-    """
-    if not _is_finger(structure, joint):
-        return False
-    if NAMED.search(joint.name):
-        return True
-    if _depth(structure, joint) > 1:
-        return False
-    if _turns_far(structure, joint):
-        return False
-    pose = structure.pose(joint.child)
-    axis = pose[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
-    jaw = structure.seen(structure.hanging(joint.child)) - pose[:3, 3]
-    other = structure.seen(structure.rigid(link)) - pose[:3, 3]
-    if not len(jaw) or not len(other):
-        return len(other) > 0  # what moves nothing that is seen is no wrist
-    middle = (jaw.min(axis=0) + jaw.max(axis=0)) / 2
-    if joint.type == "prismatic":
-        middle = middle - (middle @ axis) * axis  # wherever it slides to
-    aside = float(np.linalg.norm(middle))
-    if aside < ASIDE * float(np.linalg.norm(jaw, axis=1).max()):
-        return False  # it lies around its axis
-    way = middle / aside
-    reach = max(float((other @ closed).max()) for closed in _closed(joint, axis, way))
-    return bool(abs(float(axis @ way)) < ACROSS and reach >= JAW * (jaw @ way).max())
-
-
-def _closed(joint: Any, axis: Array, way: Array) -> list[Array]:
-    """(3,) the ways to the tip of a jaw, which may be open in its rest position."""
-    if joint.type != "revolute":
-        return [way]
-    low, high = float(joint.limit.lower), float(joint.limit.upper)
-    turns = (max(-OPEN, min(0.0, low)), 0.0, min(OPEN, max(0.0, high)))
-    return [rotation_matrix(turn, axis)[:3, :3] @ way for turn in turns]
-
-
-def _turns_far(structure: Structure, joint: Any) -> bool:
-    """Whether a joint turns farther than jaws do; not if most joints before it have its range."""
-    *before, own = (_range(each) for each in structure.path(joint.child))
-    alike = float(np.isclose(before or [own], own).mean())
-    return HALF_TURN < own < math.inf and alike <= MOST
-
-
-def _range(joint: Any) -> float:
-    """How far a joint turns or slides, rad or m."""
-    if joint.type == "continuous":
-        return math.inf
-    return float(joint.limit.upper) - float(joint.limit.lower)
-
-
-def _depth(structure: Structure, joint: Any) -> int:
-    """The most independent joints in a row, from this one on."""
-    deeper = (_depth(structure, each) for each in structure.moved(joint.child))
-    return (joint.mimic is None) + max(deeper, default=0)
-
-
-def _extent(structure: Structure, link: str) -> float:
-    """How far what hangs from a link reaches from it, m."""
-    start = structure.pose(link)[:3, 3]
-    links = structure.hanging(link)
-    frames = np.stack([structure.pose(name)[:3, 3] for name in links])
-    points = np.concatenate([frames, structure.seen(links)])
-    return float(np.linalg.norm(points - start, axis=1).max())
-
-
 def _reach(structure: Structure, chain: Chain) -> float:
     """How far a chain could reach from its first joint, m."""
-    places = [structure.pose(joint.child)[:3, 3] for joint in chain.own]
-    lengths = np.linalg.norm(np.diff(np.stack(places), axis=0), axis=1)
-    return float(lengths.sum()) + _extent(structure, chain.link)
+    return _length(structure, chain.own) + extent(structure, chain.link)
+
+
+def _length(structure: Structure, joints: Sequence[Any]) -> float:
+    """How long the way is from the first of joints over all to the last, m."""
+    places = np.array([structure.pose(joint.child)[:3, 3] for joint in joints]).reshape(-1, 3)
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
 def _legs(structure: Structure, long: list[Chain], every: list[Chain]) -> set[str]:
@@ -279,7 +220,7 @@ def _legs(structure: Structure, long: list[Chain], every: list[Chain]) -> set[st
     a foot, and two others do not. Or they have no fingers and hang from the base where others hang
     from a torso that does not stand.
     """
-    floor = ON_FLOOR + _lowest(structure, structure.hanging(structure.base))
+    floor = _floor(structure)
     if _lowest(structure, structure.rigid(structure.base)) <= floor:
         return set()
     stand = [chain for chain in long if _stands(structure, chain, floor)]
@@ -315,6 +256,11 @@ def _from_base(long: list[Chain]) -> set[str]:
     if not any(chain.shared for chain in long):
         return set()
     return {chain.link for chain in long if not chain.fingers and not chain.shared}
+
+
+def _floor(structure: Structure) -> float:
+    """The height below which something stands on the floor, m."""
+    return ON_FLOOR + _lowest(structure, structure.hanging(structure.base))
 
 
 def _stands(structure: Structure, chain: Chain, floor: float) -> bool:

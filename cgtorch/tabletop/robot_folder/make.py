@@ -23,6 +23,7 @@ from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 from cgtorch.tabletop.robot_folder.reach import Reached, reached
 from cgtorch.tabletop.robot_folder.solid import solid, sound_inertials
 from cgtorch.tabletop.robot_folder.srdf import Semantics, read_srdf, srdf_beside
+from cgtorch.tabletop.robot_folder.still import without_still
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 URDF, PICTURE, SHAPES = "robot.urdf", "robot.png", "shapes.json"
@@ -67,14 +68,14 @@ def make_robot_folder(
     cannot be met; RunError if the folder exists or cannot be written. Then nothing is written.
     """
     mended = list[str]()
-    read = checked_urdf(urdf, read_urdf(urdf, mended))
+    read, still = without_still(checked_urdf(urdf, read_urdf(urdf, mended)))
     srdf = srdf or srdf_beside(urdf)
     semantics = Semantics() if srdf is None else read_srdf(srdf, read)
     plain, meshes = without_meshes(read, package_places(packages))
     plain, notes = solid(plain)
     plain, inertials = sound_inertials(plain)
     wishes = _with_semantics(wishes or Wishes(), semantics)
-    proposal = propose(plain, wishes, _corners(read, meshes))
+    proposal = propose(plain, wishes, _corners(read, meshes), still)
     with whole_folder(folder) as place:
         write_bytes(place / URDF, proposal.urdf.xml)
         words = proposal.words

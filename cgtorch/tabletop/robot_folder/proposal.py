@@ -79,15 +79,19 @@ class Proposal:
 
 
 def propose(
-    urdf: Urdf, wishes: Wishes, corners: Mapping[str, Sequence[Array]] = MappingProxyType({})
+    urdf: Urdf,
+    wishes: Wishes,
+    corners: Mapping[str, Sequence[Array]] = MappingProxyType({}),
+    changes: Sequence[str] = (),
 ) -> Proposal:
     """A description of a robot whose URDF has no meshes, and the URDF with additional frames.
 
-    `corners` are those of meshes that have been replaced; see `Structure`.
+    `corners` are those of meshes that have been replaced; see `Structure`. `changes` is what was
+    changed in the URDF's joints, which is told.
 
     RobotError if no arm is found or given, or a link or joint of a wish does not exist.
     """
-    notes: list[str] = []
+    notes = list(changes)
     for name in wishes.held:
         urdf.joint(name)
     found = base_of(Structure(urdf, urdf.model.base_link, corners), wishes.base_frame, notes)
@@ -157,8 +161,9 @@ def _found(structure: Structure, notes: list[str]) -> tuple[list[str], list[Any]
     if not arms:
         raise RobotError(
             f"URDF {str(structure.urdf.path)!r} has no chain of {FEW_JOINTS} joints or more from "
-            f"a body or torso to a hand{f' (no arms: {others})' if others else ''}: name the arms "
-            "by --arm NAME=BASE_LINK:TOOL_FRAME"
+            f"a body or torso to a hand{f' (no arms: {others})' if others else ''}"
+            f"{''.join(f'; {note}' for note in notes)}: name the arms by --arm "
+            "NAME=BASE_LINK:TOOL_FRAME"
         )
     if others:
         notes.append(f"no arms: {others}; name them by --arm if that is wrong")

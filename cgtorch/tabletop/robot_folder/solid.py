@@ -28,16 +28,33 @@ def solid(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
 def solid_arms(
     structure: Structure, chains: Sequence[Sequence[Any]], hands: Sequence[str], notes: list[str]
 ) -> Urdf:
-    """The URDF with what is seen of arms and hands, of which nothing collides, as what collides."""
-    begins = [chain[0].child for chain in chains]
-    links = [structure.hanging(link) for link in (*begins, *hands)]
-    bare = [each for each in links if not any(structure.shapes(name) for name in each)]
-    seen = [name for each in bare for name in each if structure.urdf.link(name).visuals]
+    """The URDF with what is seen of arms and hands, of which nothing collides, as what collides.
+
+    A camera or gripper that collides, and is fixed to an arm of which nothing else does, remains.
+    """
+    bare = [structure.hanging(chain[0].child) for chain in chains if _bare(structure, chain)]
+    without = [structure.hanging(hand) for hand in hands]
+    bare += [links for links in without if not any(map(structure.shapes, links))]
+    seen = [
+        name
+        for name in dict.fromkeys(name for links in bare for name in links)
+        if structure.urdf.link(name).visuals and not structure.shapes(name)
+    ]
     if not seen:
         return structure.urdf
-    names = ", ".join(dict.fromkeys(seen))
-    notes.append(f"{names} have no collision shapes, so that their visual ones are taken")
+    have, their = ("has", "its") if len(seen) == 1 else ("have", "their")
+    notes.append(
+        f"{', '.join(seen)} {have} no collision shapes, so that {their} visual ones are taken"
+    )
     return _seen_as_solid(structure.urdf, seen)
+
+
+def _bare(structure: Structure, chain: Sequence[Any]) -> bool:
+    """Whether nothing that the joints of an arm carry collides, but what is fixed to few of it."""
+    bodies = [structure.rigid(joint.child) for joint in chain]
+    collide = [any(map(structure.shapes, links)) for links in bodies]
+    itself = any(structure.shapes(links[0]) for links in bodies)
+    return not itself and 2 * sum(collide) < len(collide)
 
 
 def _seen_as_solid(urdf: Urdf, links: Sequence[str]) -> Urdf:

@@ -328,7 +328,10 @@ def test_files_by_their_path(world):
         assert found(world, name, ["ws"]) == mesh
         with pytest.raises(RobotError, match="leads out of"):
             found(world, name)
-    assert found(world, "a.stl", urdf="ws/repo/arm_description/meshes/r.urdf") == mesh
+    for name in ("a.stl", "package://a.stl"):
+        assert found(world, name, urdf="ws/repo/arm_description/meshes/r.urdf") == mesh
+    with pytest.raises(RobotError, match="which is missing: there is no"):
+        found(world, "package://a.stl")
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,16 @@ def test_a_slide_alone_or_turns_alone_drive_no_base(tmp_path, ways):
     assert not any("how the base drives" in note for note in found.notes)
 
 
+def test_a_joint_that_moves_a_whole_robot_in_a_world_is_one_of_its_arm(tmp_path):
+    """The shoulder of an arm whose root is called world; a joint that fixes it there is none."""
+    found = proposed(tmp_path, link("world", ""), chain("arm", 6, "world"))
+    arm = found.words.arms[0]
+    joints = found.urdf.joints_between(arm.base_link, arm.tool_frame)
+    assert [each.name for each in joints if each.type == "revolute"] == [
+        f"arm{i}_joint" for i in range(6)
+    ]
+
+
 def test_an_arm_that_reaches_all_round_says_nothing_of_where_x_leads(tmp_path):
     arm = chain("arm", 6, "base", "0 -0.1 0", "0 0 0.4")
     round_ = arm.replace('"arm0_joint" type="revolute"', '"arm0_joint" type="continuous"')
@@ -67,6 +77,17 @@ def test_the_floor_is_not_above_where_an_arm_begins_if_only_its_hand_collides(tm
     down = chain("arm", 5, "base", "0 0 -0.1", "0 0 0.1", "")
     found = proposed(tmp_path, link("base", ""), down, hand.replace("0 0 0.1", "0 0 -0.1"))
     assert found.urdf.model.get_transform("base", "base_footprint")[2, 3] == pytest.approx(0.425)
+
+
+def test_the_floor_is_below_an_arm_that_hangs_from_a_panel(tmp_path):
+    """Whose shapes are above where the arm begins."""
+    panel = link("base", box("0.4 0.4 0.1", "0 0 0.25"))
+    arm = chain("arm", 6, "base", "0 0 -0.1", "0 0 0")
+    found = proposed(tmp_path, panel, arm)
+    assert found.urdf.model.get_transform("base", "base_footprint")[2, 3] == pytest.approx(0.525)
+    level = link("base", box("0.4 0.4 0.1", "0 0 0.069"))
+    found = proposed(tmp_path, level, arm)
+    assert found.words.base_frame == "base"
 
 
 def test_a_stand_lifts_the_robot_and_is_part_of_its_body(tmp_path):
@@ -104,7 +125,9 @@ def test_the_floor_is_at_the_lowest_point_of_all_but_the_arms(tmp_path):
 
     high, low = link("base", box("0.2 0.2 0.2", "0 0 0.4")), chain("arm", 1, "base", "0 0 -0.5")
     assert height(high, low) == (pytest.approx(0.525), [])
-    assert height(high, low, of=["arm0"]) == (pytest.approx(-0.3), [])
+    assert height(high, low, of=["arm0"]) == (pytest.approx(0.525), [])  # it hangs
+    under = link("base", box("0.2 0.2 0.2", "0 0 -0.1"))
+    assert height(under, low, of=["arm0"]) == (pytest.approx(0.2), [])
     assert height(link("base", ""), low, of=["arm0"]) == (pytest.approx(0.525), [])
     assert height(link("base", box("0.2 0.2 0.2", "0 0 0.119"))) == (0.0, [])
     assert height(link("base", box("0.2 0.2 0.2", "0 0 0.121"))) == (pytest.approx(-0.021), [])

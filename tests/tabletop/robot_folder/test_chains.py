@@ -14,15 +14,13 @@ from cgtorch.tabletop.robot_folder.chains import (
     HEAD,
     LEG,
     SHORT,
-    _depth,
-    _extent,
     _freedom,
-    _is_finger,
     _lowest,
     _reach,
     _within,
     chains_of,
 )
+from cgtorch.tabletop.robot_folder.fingers import depth_of, extent
 from cgtorch.tabletop.robot_folder.make import make_robot_folder
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 from cgtorch.tabletop.robot_folder.structure import Structure
@@ -211,33 +209,16 @@ def test_what_hangs_from_a_joint_is_as_deep_and_as_far_as_its_longest_part(tmp_p
     )  # fmt: skip
     structure = structure_of(tmp_path, BASE, *parts)
     above = structure.above
-    assert [_depth(structure, above[name]) for name in "abcde"] == [3, 2, 1, 1, 0]
+    assert [depth_of(structure, above[name]) for name in "abcde"] == [3, 2, 1, 1, 0]
     half = 0.025
     farthest = math.sqrt(half**2 + (0.3 + half) ** 2 + (0.2 + 0.1 + half) ** 2)
-    assert _extent(structure, "a") == pytest.approx(farthest)
-    assert _extent(structure, "e") == pytest.approx(half * math.sqrt(3))
+    assert extent(structure, "a") == pytest.approx(farthest)
+    assert extent(structure, "e") == pytest.approx(half * math.sqrt(3))
     assert _lowest(structure, ["a", "d"]) == pytest.approx(0.1 - half)
     assert _lowest(structure, []) == math.inf
     own = [above[name] for name in "abc"]
     chain = SimpleNamespace(own=own, link="c")
-    assert _reach(structure, chain) == pytest.approx(0.2 + 0.3 + _extent(structure, "c"))
-
-
-@pytest.mark.parametrize(
-    ("joints", "far", "finger"),
-    [
-        (1, 0.3, True), (4, 0.3, True), (4, 0.301, False), (5, 0.3, False), (5, 0.2, True),
-        (9, 0.2, True), (9, 0.201, False), (10, 0.2, False), (10, 0.1, False),
-    ],
-)  # fmt: skip
-def test_a_finger_is_short_and_has_few_joints(tmp_path, joints, far, finger):
-    parts = [
-        link(f"f{i}", "") + joint(f"f{i}", f"f{i - 1}" if i else "base", "0 0 0")
-        for i in range(joints)
-    ]
-    tip = link("tip", "") + joint("tip", f"f{joints - 1}", f"0 0 {far}", kind="fixed", more="")
-    structure = structure_of(tmp_path, BASE, *parts, tip)
-    assert _is_finger(structure, structure.above["f0"]) == finger
+    assert _reach(structure, chain) == pytest.approx(0.2 + 0.3 + extent(structure, "c"))
 
 
 def test_a_joint_is_within_its_range_or_a_turn(tmp_path):

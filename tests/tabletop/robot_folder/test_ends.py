@@ -49,6 +49,27 @@ def test_hands_that_hang_to_the_floor_are_hands_unless_they_are_feet_beside_two_
     assert arms(structure_of(tmp_path, PELVIS, *few, LEGS, *hands)) == both
 
 
+@pytest.mark.parametrize("count", [3, 4])
+def test_a_finger_is_no_joint_of_an_arm_that_lacks_one(tmp_path, count):
+    arm = chain("arm", count, "base", first="0 0 0.9") + fingers("jaw", f"arm{count - 1}")
+    (found,) = chains_of(structure_of(tmp_path, BASE, arm))
+    assert (found.link, len(found.own), found.fingers) == (f"arm{count - 1}", count, True)
+    assert found.kind == ("arm" if count == 4 else "too few joints")
+
+
+@pytest.mark.parametrize("size", [0.55, 0.65])
+def test_claws_of_a_large_arm_are_large(tmp_path, size):
+    """A fifth of its length, 3 m, at most."""
+    arm = chain("arm", 6, "base", "0 0 0.6", first="0 0 0.9")
+    claws = "".join(
+        link(f"claw{y}", box("0.02 0.02 0.02", f"0 0 {size}"))
+        + joint(f"claw{y}", "arm5", f"0 {y} 0")
+        for y in (0.2, -0.2)
+    )
+    structure = structure_of(tmp_path, BASE, arm, claws)
+    assert arms(structure) == ({"arm5": 6} if size == 0.55 else {"claw0.2": 7})
+
+
 def test_what_carries_two_joints_is_no_finger(tmp_path):
     """A gear beside the last joint of a wrist, which carries a gripper."""
     arm = chain("arm", 6, "base", first="0 0 0.9") + fingers("gripper", "arm5")

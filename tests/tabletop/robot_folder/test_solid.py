@@ -159,3 +159,27 @@ def test_arms_of_which_nothing_collides_collide_as_they_are_seen(tmp_path: Path)
     assert notes == ["a0, a1, tip have no collision shapes, so that their visual ones are taken"]
     assert solid_arms(structure, chains[1:], ["b1"], notes) is urdf
     assert len(notes) == 1
+
+
+def test_a_camera_or_gripper_that_collides_leaves_its_arm_as_it_is_seen(tmp_path: Path) -> None:
+    """Unless such things are fixed to half of its bodies, or a link of its own collides."""
+    parts = (
+        BASE, chain("a", 4, "base", shapes=SEEN), link("camera"),
+        joint("camera", "a1", kind="fixed", more=""),
+    )  # fmt: skip
+
+    def arm_of(*more: str) -> tuple[Urdf, Urdf, list[str]]:
+        urdf = load_urdf(urdf_of(tmp_path, *parts, *more))
+        notes = list[str]()
+        chain = [urdf.joint(f"a{i}_joint") for i in range(4)]
+        return solid_arms(Structure(urdf, "base"), [chain], ["a3"], notes), urdf, notes
+
+    found, _, notes = arm_of()
+    assert [len(found.link(f"a{i}").collisions) for i in range(4)] == [1] * 4
+    assert len(found.link("camera").collisions) == 1
+    assert notes == ["a0, a1, a2, a3 have no collision shapes, so that their visual ones are taken"]
+    found, urdf, _ = arm_of(link("gripper") + joint("gripper", "a3", kind="fixed", more=""))
+    assert found is urdf
+    parts = (BASE, chain("a", 3, "base", shapes=SEEN), link("a3"), joint("a3", "a2"))
+    found, urdf, _ = arm_of()
+    assert found is urdf

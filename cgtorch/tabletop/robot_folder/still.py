@@ -1,0 +1,63 @@
+"""Joints that cannot move, though others hang from them."""
+
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from trimesh import transformations
+
+from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf
+from cgtorch.tabletop.robot_folder.base import add_origin
+from cgtorch.tabletop.robot_folder.structure import Array, Structure
+
+STILL = 1e-6  # rad or m: a joint of a smaller range cannot move
+_OF_MOTION = ("axis", "limit", "dynamics", "safety_controller", "calibration")
+
+
+def without_still(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
+    """A URDF whose joints of no range are fixed where they are, and a note of which these are.
+
+    A joint that moves hangs from each of them. Other joints without a range, as those of fingers
+    that are not used, remain.
+    """
+    structure = Structure(urdf, urdf.model.base_link)
+    joints = urdf.model.robot.joints
+    followed = {joint.mimic.joint for joint in joints if joint.mimic is not None}
+    still = {
+        joint.name: _origin(joint)
+        for joint in joints
+        if _is_still(joint) and joint.name not in followed and _carries_motion(structure, joint)
+    }
+    if not still:
+        return urdf, ()
+    root = etree.fromstring(urdf.xml)
+    for element in root.findall("joint"):
+        if (pose := still.get(element.get("name"))) is not None:
+            element.set("type", "fixed")
+            for old in element.xpath("|".join(("origin", *_OF_MOTION))):
+                element.remove(old)
+            add_origin(element, pose)
+    are = "is" if len(still) == 1 else "are"
+    names = ", ".join(still)
+    note = f"{names} {are} taken to be fixed, as the two limits are the same"
+    return checked_urdf(urdf.path, root), (note,)
+
+
+def _is_still(joint: Any) -> bool:
+    slides_or_turns = joint.type in ("revolute", "prismatic") and joint.mimic is None
+    return bool(slides_or_turns and joint.limit.upper - joint.limit.lower < STILL)
+
+
+def _carries_motion(structure: Structure, joint: Any) -> bool:
+    """Whether a joint hangs from another that moves by itself."""
+    below = (each for link in structure.hanging(joint.child) for each in structure.below[link])
+    return any(j.type in MOVING and j.mimic is None and not _is_still(j) for j in below)
+
+
+def _origin(joint: Any) -> Array:
+    """(4, 4) where a joint at its only position holds its child, in the parent's frame."""
+    origin = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=np.float64)
+    axis, at = np.asarray(joint.axis, dtype=np.float64), float(joint.limit.lower)
+    if joint.type == "prismatic":
+        return np.asarray(origin @ transformations.translation_matrix(at * axis))
+    return np.asarray(origin @ transformations.rotation_matrix(at, axis))
