@@ -268,20 +268,26 @@ def waiting(message: str, quiet: bool, total: int | None = None) -> Iterator[Cal
     """Show on a terminal a live line with a message, the elapsed time, and the work done.
 
     Yields a function to call with the amount of further work done, of `total`. Long work that is
-    counted within has a line of its own until it is done (`cgtorch.native.processes`).
+    counted within has a line of its own until it is done (`cgtorch.native.processes`). Without a
+    terminal, lines tell now and then of work that takes long.
     """
     from rich import progress as rich
     from rich.console import Console
 
-    from cgtorch.native.processes import listening
+    from cgtorch.native.processes import counted, listening
 
     console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        from cgtorch.report.progress import ProgressDisplay
+
+        with ProgressDisplay(console, quiet):
+            yield counted(printable(message), total or 1)
+        return
     columns = [rich.SpinnerColumn(), rich.TextColumn("{task.description} …", markup=False)]
     columns += [rich.BarColumn(24), rich.MofNCompleteColumn()] if total is not None else []
     columns += [rich.TimeElapsedColumn()]
     columns += [rich.TextColumn("left"), rich.TimeRemainingColumn()] if total is not None else []
-    hidden = quiet or not console.is_terminal
-    progress = rich.Progress(*columns, console=console, transient=True, disable=hidden)
+    progress = rich.Progress(*columns, console=console, transient=True)
     within: dict[str, Any] = {}
 
     def show(what: str, done: int, of: int) -> None:

@@ -3,7 +3,9 @@
 import ctypes
 import errno
 import io
+import re
 import signal
+import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from functools import partial
@@ -15,6 +17,7 @@ from rich.console import Console
 from cgtorch.commands.common import resumable, run_command, say, waiting
 from cgtorch.ground.errors import SettingsError
 from cgtorch.native.processes import counted
+from cgtorch.report import progress
 
 
 @pytest.mark.parametrize(
@@ -52,6 +55,21 @@ def test_work_within_is_shown_as_far_as_it_is(monkeypatch: pytest.MonkeyPatch) -
         counted("grasps", 7)(3)
     assert "3/7" in written.getvalue()
     assert "0/40" in written.getvalue()
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_without_a_terminal_a_line_tells_of_long_work(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], quiet: bool
+) -> None:
+    monkeypatch.setattr(progress, "SILENCE", 0.1)
+    monkeypatch.setattr(progress, "LOOKED", 0.02)
+    with waiting("fitting\x1b shapes", quiet, 40) as done:
+        done(3)
+        time.sleep(0.3)
+    lines = capsys.readouterr().err.splitlines()
+    said = r"fitting\\x1b shapes: 3 of 40(, .*/s, left .*)?, 0:00 elapsed"
+    assert all(re.fullmatch(said, line) for line in lines)
+    assert bool(lines) != quiet
 
 
 def in_the_midst_of_ctypes() -> None:
