@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from cgtorch.graphs import Skill
-from cgtorch.ground.asked import NAMES, NOTHING, Asked, Purse
-from cgtorch.ground.environment import Dataset, Environment, Episode, Live, asked_of
+from cgtorch.ground.asked import NAMES, Asked, Purse
+from cgtorch.ground.environment import Dataset, Environment, Episode, Live
 from cgtorch.ground.errors import RunError
 from cgtorch.improvement.events import S, WorldAsked
 from cgtorch.improvement.setup import Setup
@@ -69,12 +69,10 @@ def _tried(
     skill: Skill, world: Environment, purse: Purse, phase: str, most: int | None, rows: Tensor
 ) -> Trial:
     """A trial on some scenarios, all at once."""
-    before, place, steps = purse.total, Recording(world, purse, phase, most), asked_of(world)
+    before, place = purse.total, Recording(world, purse, phase, most)
     purse.pay(phase, Asked(episodes=len(rows)))
     about, limit = (skill.graph, skill.actions, place), skill.max_transitions
     runs = rollout(*about, scenarios=rows, max_transitions=limit)
-    if (more := asked_of(world) - steps) != NOTHING:
-        purse.add(phase, more)
     return Trial(
         percepts=place.first[rows],
         succeeded=runs.succeeded[0],

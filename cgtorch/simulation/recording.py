@@ -1,19 +1,23 @@
 """An environment that records transitions and tests, to learn from, and counts what it is asked."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
-from cgtorch.ground.asked import Asked, Purse
+from cgtorch.ground.asked import NOTHING, Asked, Purse
 from cgtorch.ground.environment import (
     Bounded,
     Environment,
     Episodic,
     Lanes,
     Rewarded,
+    asked_of,
     seeds_of,
 )
+
+T = TypeVar("T")
 
 
 class Recording:
@@ -21,8 +25,9 @@ class Recording:
 
     `experience` sorts them by the lanes' step, then by scenario, because learning depends on the
     order of the data. What is asked is paid from `purse` before it is asked, so BudgetSpentError
-    can end a rollout. A scenario that has had `most` world actions is broken off: nothing more is
-    carried out or succeeds there, and nothing more is asked.
+    can end a rollout; low-level steps are known, and counted, afterwards only. A scenario that has
+    had `most` world actions is broken off: nothing more is carried out or succeeds there, and
+    nothing more is asked.
     """
 
     def __init__(
@@ -65,7 +70,7 @@ class Recording:
             return self._step_of(lanes, control, able)
         self.purse.pay(self.phase, Asked(motions=len(lanes)))
         self.actions.index_add_(0, lanes.scenario, torch.ones_like(lanes.scenario))
-        after, done = self.environment.step(lanes, control)
+        after, done = self._counted(self.environment.step, lanes, control)
         when = self._when(lanes)[done]
         self.transitions.append((when, lanes.percept[done], control[done], after.percept[done]))
         return after, done
@@ -77,9 +82,17 @@ class Recording:
         self.purse.pay(self.phase, Asked(tests=len(lanes)))
         self.actions.index_add_(0, lanes.scenario, torch.ones_like(lanes.scenario))
         when = self._when(lanes)
-        lanes, result = self.environment.success(lanes)
+        lanes, result = self._counted(self.environment.success, lanes)
         self.tests.append((when, lanes.percept.clone(), result > 0.5))
         return lanes, result
+
+    def _counted(self, method: Callable[..., T], *about: Any) -> T:
+        """What a method returns, after its low-level steps are counted."""
+        before = asked_of(self.environment)
+        found = method(*about)
+        if (more := asked_of(self.environment) - before) != NOTHING:
+            self.purse.add(self.phase, more)
+        return found
 
     def _able(self, lanes: Lanes) -> Tensor:
         """(n,) bool, the lanes whose scenarios are not broken off."""

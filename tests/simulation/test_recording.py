@@ -67,7 +67,7 @@ class Counted:
                 lanes = lanes.with_rows(row, after)
         return lanes, result
 
-    def asked(self) -> Asked:
+    def was_asked(self) -> Asked:
         return Asked(self.motions.total(), self.tests.total(), self.looks.total())
 
     def experience(self) -> Dataset:
@@ -111,7 +111,7 @@ def test_what_is_recorded_is_what_was_done(seed: int, limit: int) -> None:
     )
     assert_same(found, wanted)
     assert_same(counted, wanted)
-    assert purse.spent == {"practice": plain.asked()}
+    assert purse.spent == {"practice": plain.was_asked()}
     assert place.actions.tolist() == [plain.spent(i) for i in range(COUNT)]
     assert torch.equal(place.first, world(seed, COUNT).start(torch.arange(COUNT))[1])
     for name, rows in vars(plain.experience()).items():
@@ -124,8 +124,8 @@ def test_who_is_broken_off_asks_nothing_more(seed: int, limit: int, most: int) -
     place, graph = Recording(asked, purse, most=most), graph_of(seed)
     found, wanted = (rollout(graph, ACTIONS, e, max_transitions=limit) for e in (place, plain))
     assert_same(found, wanted)
-    assert purse.spent == {"trials": plain.asked()}
-    assert asked.asked() == plain.asked()
+    assert purse.spent == {"trials": plain.was_asked()}
+    assert asked.was_asked() == plain.was_asked()
     assert place.actions.tolist() == [plain.spent(i) for i in range(COUNT)]
     assert int(place.actions.max()) <= most
     for name, rows in vars(plain.experience()).items():
@@ -167,7 +167,7 @@ def test_what_the_budget_does_not_cover_is_not_asked(seed: int, limit: int) -> N
         with pytest.raises(BudgetSpentError):
             rollout(graph, ACTIONS, place)
         assert purse.exhausted
-    assert purse.total == asked.asked()
+    assert purse.total == asked.was_asked()
     assert purse.total.actions <= limit
 
 
@@ -220,3 +220,29 @@ def test_worlds_of_other_numbers_are_recorded_too() -> None:
 def test_seeds_are_those_of_the_world() -> None:
     plain = world(5, 3)
     assert torch.equal(Recording(plain).seeds, plain.seeds)
+
+
+class LowLevel(Counted):
+    """Each motion takes three low-level steps, of which one was known, and a test one."""
+
+    steps = 0
+
+    @property
+    def asked(self) -> Asked:
+        return Asked(steps=self.steps, simulated=2 * (self.steps // 3))
+
+    def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
+        self.steps += 3 * len(lanes)
+        return super().step(lanes, control)
+
+
+def test_low_level_steps_are_counted_even_of_what_is_broken_off() -> None:
+    place, purse = LowLevel(3), Purse({"motions": 5})
+    recording = Recording(place, purse, "exploration")
+    lanes = start_lanes(recording, torch.arange(COUNT), 3, 0)
+    some = lanes.rows(torch.arange(4))
+    recording.step(some, torch.zeros(4, 3))
+    with pytest.raises(BudgetSpentError):
+        recording.step(some, torch.zeros(4, 3))
+    spent = purse.spent["exploration"]
+    assert (spent.motions, spent.steps, spent.simulated) == (4, 12, 8)
