@@ -14,7 +14,7 @@ from torch import Generator, Tensor
 
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.ground.asked import Purse
-from cgtorch.ground.environment import Dataset, Environment, Lanes, start_lanes
+from cgtorch.ground.environment import Dataset, Environment, Episodic, Lanes, start_lanes
 from cgtorch.ground.errors import DataError, DomainError
 from cgtorch.ground.fields import Field, bounds_of, columns_of
 
@@ -143,7 +143,8 @@ class _Robots:
         """Data of about so many motions of all robots together."""
         about, models = self._about, self._models
         moved, tested = list[tuple[Tensor, ...]](), list[tuple[Tensor, ...]]()
-        for _ in range(-(-motions // about.lanes)):
+        until = self.motions + motions
+        while self.motions < until:
             world, lanes = self._started()
             control = torch.cat([_chosen(models, known, p, about) for p in lanes.percept])
             after, done = world.step(lanes, control)
@@ -154,8 +155,10 @@ class _Robots:
                 some, chance = world.success(after.rows(rows))
                 tested.append((after.percept[rows], chance > 0.5))
                 after = after.with_rows(rows, some)
-            self._lanes, self._left = after, self._left - 1
-        nothing = after.percept[:0], torch.empty(0, dtype=torch.bool)
+            if isinstance(world, Episodic):  # where an episode is over, nothing happens any more
+                after = after.rows((~world.over(after)).nonzero()[:, 0])
+            self._lanes, self._left = after, self._left - 1 if len(after) else 0
+        nothing = lanes.percept[:0], torch.empty(0, dtype=torch.bool)
         p, u, q = (torch.cat(part) for part in zip(*moved, strict=True))
         seen, labels = (torch.cat(part) for part in zip(nothing, *tested, strict=True))
         return Dataset(p, u, q, seen, labels)

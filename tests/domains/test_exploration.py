@@ -365,3 +365,27 @@ def test_models_of_what_was_explored_are_of_use() -> None:
     assert sum(right) / len(right) > 0.6
     assert sum(off) / len(off) < 0.5 * still
     assert max(motions) < 45
+
+
+class Ending(Tracked):
+    """A world whose episodes are over far to the right, where nothing moves any more."""
+
+    def over(self, lanes: Lanes) -> Tensor:
+        return lanes.percept[:, 0] > 0
+
+
+@pytest.mark.parametrize("lanes", [1, 3])
+def test_nothing_is_tried_where_an_episode_is_over(lanes: int) -> None:
+    log, generator, purse = Log(), seeded(1), Purse()
+
+    def worlds(kind: str, number: int) -> Environment:
+        return Recording(Ending(Cart().world(Cart().draw(kind, number, generator)), log), purse, "")
+
+    how: dict[str, Any] = {"fit": fits(100.0), "most": 60, "lanes": lanes}
+    start = Exploration("any", worlds, generator=generator, purse=purse, **how)
+    found = models_of(Cart()).explore(start)
+    over = [after for _, _, after in log.moved if after[0] > 0]
+    assert len(over) > 3
+    assert not any(torch.equal(before, end) for before, _, _ in log.moved for end in over)
+    assert len(found.percept) == log.motions
+    assert len(log.starts) > -(-log.motions // (CHAIN * lanes)), "others begin where all are over"
