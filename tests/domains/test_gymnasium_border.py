@@ -433,3 +433,9 @@ def test_a_vector_that_is_cut_off_is_over(monkeypatch: pytest.MonkeyPatch) -> No
         monkeypatch.setattr(made, "step", lambda action, found=found: found)
         after, _ = world.step(lanes, torch.zeros(1, 2))
         assert bool(world.over(after)) == bool(ends[0] | ends[1])
+
+
+def test_what_came_before_may_make_a_little_difference() -> None:
+    """Box2D solves contacts in an order that depends on what it has simulated before."""
+    pytest.importorskip("Box2D")
+    assert check_domain(Gymnasium(GymnasiumSettings("BipedalWalkerHardcore-v3")), "starts")
