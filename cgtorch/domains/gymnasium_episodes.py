@@ -189,18 +189,7 @@ class Episodes:
         except CgtorchError:
             raise
         except Exception as e:
-            place = failed_at(e)
-            advice = "correct it there" if place else "correct that first"
-            if isinstance(e, gymnasium.error.UnregisteredEnv | ImportError) and not place:
-                advice = "is it spelt right, its package installed, and its module given "
-                advice += "(module:ENV_ID)?"
-            if "keyword argument" in str(e):
-                advice = "does it have these keywords (--env)?"
-            if self._parents:
-                advice += " If only one may exist, use one process (--processes 1)."
-            raise DomainError(
-                f"Gymnasium cannot make environment {name!r} ({reason(e)}){place}; {advice}"
-            ) from e
+            raise _refusal(name, e, forked=bool(self._parents)) from e
         threshold = getattr(made.spec, "reward_threshold", None)
         limit = getattr(made.spec, "max_episode_steps", None) or float("inf")
         self.most_steps = float(limit)
@@ -211,6 +200,23 @@ class Episodes:
         self._open.append((os.getpid(), made))
         check_default_type(f"environment {name!r}")
         return made, float("inf") if self._wrappers else limit, threshold
+
+
+def _refusal(name: str, error: Exception, forked: bool) -> DomainError:
+    """The error of an environment that cannot be made, perhaps in a forked process."""
+    from gymnasium.error import UnregisteredEnv
+
+    place = failed_at(error)
+    advice = "correct it there" if place else "correct that first"
+    if isinstance(error, UnregisteredEnv | ImportError) and not place:
+        advice = "is it spelt right, its package installed, and its module given (module:ENV_ID)?"
+    if isinstance(error, TypeError) and " argument" in str(error):
+        advice = "does it have these keywords, or need others (--env NAME=VALUE)?"
+    if forked:
+        advice += " If only one may exist, use one process (--processes 1)."
+    return DomainError(
+        f"Gymnasium cannot make environment {name!r} ({reason(error)}){place}; {advice}"
+    )
 
 
 def _close(environments: list[tuple[int, Any]]) -> None:
