@@ -1,6 +1,5 @@
 """Gymnasium environments as a world of lanes, with returns or with success."""
 
-import math
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -49,8 +48,9 @@ class Success:
         """Whether the info of an episode's step tells of success; WorldError if it is no number."""
         value = info.get(self.name, False)
         with suppress(TypeError, ValueError):
-            if not math.isnan(number := float(value)):
-                return number > 0.5
+            number = np.asarray(value, dtype=np.float64)  # perhaps an array of one
+            if number.size == 1 and not np.isnan(number).any():
+                return bool(number.item() > 0.5)
         raise WorldError(
             f"the info of {episode.where} has {self.name} {value!r:.60}; name something in it that "
             "is a number, or true or false (--success), or wrap it (--wrappers)"

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from cgtorch.domains.check import check_domain
 from cgtorch.domains.domain import rewarded
 from cgtorch.domains.gymnasium import Gymnasium
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_world import MOST_UNSOLVED
+from cgtorch.domains.gymnasium_world import MOST_UNSOLVED, Success
 from cgtorch.domains.registry import make_domain
 from cgtorch.evolution.population import random_population
 from cgtorch.ground.environment import Lanes, start_lanes
@@ -184,3 +185,19 @@ def test_more_lanes_than_environments_share_them(monkeypatch: pytest.MonkeyPatch
         assert torch.equal(lanes.percept, others.percept)
     assert len(few.episodes._having) == 3
     assert np.isfinite(others.percept.numpy()).all()
+
+
+@pytest.mark.parametrize(
+    ("told", "wanted"),
+    [(True, True), (0.4, False), (np.array([1.0]), True), (np.array([[False]]), False)],
+)
+def test_success_is_a_number_or_an_array_of_one(told: object, wanted: bool) -> None:
+    about: Any = SimpleNamespace(where="step 3")
+    assert Success("done").seen({"done": told}, about) is wanted
+
+
+@pytest.mark.parametrize("told", [None, "yes", np.array([1.0, 0.0]), float("nan"), np.zeros(0), {}])
+def test_success_that_is_no_number_is_refused(told: object) -> None:
+    about: Any = SimpleNamespace(where="step 3")
+    with pytest.raises(WorldError, match=r"the info of step 3 has done .*; name something in it"):
+        Success("done").seen({"done": told}, about)
