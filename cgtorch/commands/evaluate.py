@@ -80,7 +80,9 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
 
     torch.set_num_threads(1)
     native.use_threads(cores())  # for worlds that take long, which share out work to processes
-    chosen = chosen_skill(path, rest["name"], rest["actions"], rest["scenarios"], rest["domain"])
+    which = rest["name"], rest["actions"], rest["scenarios"], rest["domain"]
+    with common.waiting(f"loading {path}", quiet):
+        chosen = chosen_skill(path, *which)
     skill, domain, kind = chosen.skill, chosen.domain, chosen.kind
     if rest["world"] is not None:
         domain = in_world(domain, rest["world"])

@@ -75,7 +75,8 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **abo
     from cgtorch.ground.files import write_bytes
     from cgtorch.runs.chosen import chosen_skill
 
-    chosen = chosen_skill(path, kind=kind, **about)
+    with common.waiting(f"loading {path}", quiet):
+        chosen = chosen_skill(path, kind=kind, **about)
     sizes = {"percept_size": len(chosen.domain.percept)} if form in SIZED else {}
     with common.waiting(f"exporting {chosen.skill.name} as {form}", quiet):
         written = WRITERS[form](chosen.skill, **sizes)

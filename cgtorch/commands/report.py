@@ -42,7 +42,8 @@ def command(
     from cgtorch.training.explained import explained
 
     torch.set_num_threads(1)
-    opened = read_run(run, actions, domain)
+    with common.waiting(f"loading {run}", quiet):
+        opened = read_run(run, actions, domain)
     with common.waiting(f"looking at failures of {run}", quiet):
         why = explained(opened)
     with common.waiting(f"drawing {run}", quiet):

@@ -231,7 +231,8 @@ def command(context: click.Context, /, **options: Any) -> None:
             raise SettingsError("--run-dir cannot change in a run that has begun; leave it out")
         spec = domain if "domain" in given else None
         with together():
-            run = read_run(options["resume"], actions, spec, options["driver"] or None)
+            with common.waiting(f"loading {options['resume']}", options["quiet"]):
+                run = read_run(options["resume"], actions, spec, options["driver"] or None)
             asked = request("target_return" in of_domain and rewarded(run.domain))
             carry_on(run, wanted, overrides, asked, *shown)
         return

@@ -152,7 +152,8 @@ def _film(
         from cgtorch.training.evaluate import drawn
 
     torch.set_num_threads(1)
-    chosen = chosen_skill(path, rest["name"], rest["actions"], kind, rest["domain"])
+    with common.waiting(f"loading {path}", rest["quiet"]):
+        chosen = chosen_skill(path, rest["name"], rest["actions"], kind, rest["domain"])
     skill, domain, world = chosen.skill, chosen.domain, rest["world"]
     if world is not None or isinstance(domain, Adaptable):
         domain = in_world(domain, world or "mujoco")  # where the tabletop is drawn
