@@ -187,7 +187,8 @@ class GaussianProcess:
     """Γ from percepts (n, D) and controls (n, U) to next percepts and their standard deviations.
 
     All rows are fitted, and predictions are computed from few of them, the inducing rows (projected
-    process approximation; Rasmussen and Williams, section 8.3.4).
+    process approximation; Rasmussen and Williams, section 8.3.4). A subclass can have other
+    `features`, and say what is `expected` without it.
     """
 
     def __init__(
@@ -205,10 +206,10 @@ class GaussianProcess:
                 f"{tuple(q.shape)}; pass (n, D), (n, U) and (n, D)"
             )
         self.control_size = u.shape[1]
-        raw = torch.cat([p, u], 1)
+        raw, usual = self.features(p, u), self.expected(p, u)
         self.mean, self.scale = mean_and_spread(raw)
-        self.shift, self.spread = mean_and_spread(q - p, p)
-        x, y = (raw - self.mean) / self.scale, (q - p - self.shift) / self.spread
+        self.shift, self.spread = mean_and_spread(q - usual, p)
+        x, y = (raw - self.mean) / self.scale, (q - usual - self.shift) / self.spread
         generator = torch.Generator().manual_seed(len(x))
         some = torch.randperm(len(x), generator=generator)[:MOST_ROWS]
         steps = STEPS if free is None else AGAIN
@@ -220,15 +221,27 @@ class GaussianProcess:
         about = self.kernel, self.pivots, self.mean, self.scale
         self._folded = Folded.of(*about, torch.cat([weights * self.spread, known], 1))
         (f, d), unit = (len(self.mean), len(self.shift)), affine(self.mean, self.scale)
-        self._folded.straight[:d, :d] += torch.eye(d, dtype=x.dtype)
+        self._folded.straight[:, :d] += self.folded(f + 1, d)
         self._folded.straight[-1, :d] += self.shift
         last = torch.eye(f + 1, dtype=x.dtype)[:, -1:]
         self._slope = torch.cat([unit, last], 1) * self.kernel.slope.sqrt()
 
+    def features(self, percept: Tensor, control: Tensor) -> Tensor:
+        """The features (n, F) of percepts (n, D) and controls (n, U): by default, these."""
+        return torch.cat([percept, control], 1)
+
+    def expected(self, percept: Tensor, control: Tensor) -> Tensor:
+        """Next percepts (n, D) from which those that happen are learned to differ: by default p."""
+        return percept
+
+    def folded(self, f: int, d: int) -> Tensor:
+        """(f, d) maps features and a 1 to what is `expected` of them, which then costs nothing."""
+        return torch.eye(f, d, dtype=torch.float64)
+
     def predict(self, percept: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
         """Next percepts (n, D), and standard deviations (n,) in units of `spread`, all float64."""
-        d = len(self.shift)
-        x = torch.cat([percept.double(), control.double(), percept.new_ones(len(percept), 1)], 1)
+        d, raw = len(self.shift), self.features(percept.double(), control.double())
+        x = torch.cat([raw, raw.new_ones(len(raw), 1)], 1)
         out, slope = self._folded(x), x @ self._slope
         after, known = out[:, :d], out[:, d:]
         variance = self.kernel.amplitude + (slope * slope).sum(1) - (known * known).sum(1)

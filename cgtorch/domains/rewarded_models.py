@@ -1,6 +1,6 @@
 """Γ of a domain with rewards, what steps give there, and how episodes are imagined from it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf
@@ -36,10 +36,20 @@ class RewardedModels(Generic[D]):
         reward: What steps give and which end an episode, a `Reward` of percepts and effective
             controls; None if that is learned.
         most_steps: Steps after which the world ends an episode by itself; inf if it never does.
+        graded: Whether rewards tell of any state how close it is to success, so that returns are in
+            [0, 1]. Then what seems best so far is always played next, and where Γ knows nothing, an
+            episode keeps its return.
+        looks: First percepts of episodes that are looked at, without a step.
+        changes: Chances of another control in each step, of each of the first episodes.
+        tries: The number of random graphs that are played after them.
     """
 
     reward: Reward | None = None
     most_steps: float = inf
+    graded: bool = False
+    looks: int = 500
+    changes: Sequence[float] = (1.0, 0.25, 0.06, 1.0)
+    tries: int = 0
 
     def __init__(self, domain: D) -> None:
         """The models of a domain; SettingsError or DomainError if Γ cannot be learned of it."""
@@ -64,9 +74,20 @@ class RewardedModels(Generic[D]):
         """Which percepts are possible, judged by those of all steps (n, D)."""
         return Limits.found(self.domain.percept, percepts)
 
-    def random_control(self, generator: Generator) -> Tensor:
-        """(1, U) a random control; DomainError if one of its numbers has no bounds."""
+    def random_control(self, percept: Tensor, generator: Generator) -> Tensor:
+        """(1, U) a random control at a percept (1, D), by default uniform within bounds.
+
+        DomainError if one of its numbers has none.
+        """
         return random_controls(self.domain.control, 1, generator)
+
+    def fit_gamma(self, steps: Steps, free: Tensor | None) -> GaussianProcess:
+        """Γ fitted to steps; its parameters continue from those that are given."""
+        return GaussianProcess(steps.percept, steps.control, steps.after, free)
+
+    def fit_reward(self, steps: Steps, free: Tensor | None, starts: Tensor) -> Reward:
+        """Rewards and ends fitted to steps in episodes that begin at `starts` (b, D)."""
+        return LearnedReward(steps, free, starts)
 
     def learned(self, starts: Tensor, steps: Steps) -> "Known":
         """What steps tell, and first percepts (n, D); DataError if there are no steps."""
@@ -128,8 +149,8 @@ class Known:
         limits = models.limits(torch.cat([steps.percept, steps.after]))
         tell = limits.inside(steps.after)
         some = steps.rows(tell) if bool(tell.any()) else steps
-        found = GaussianProcess(some.percept, some.control, some.after, gamma)
-        given = models.reward or LearnedReward(steps, reward, starts)
+        found = models.fit_gamma(some, gamma)
+        given = models.reward or models.fit_reward(steps, reward, starts)
         return cls(models, starts, steps, found, given, limits, (gamma, reward))
 
     def after(self, starts: Tensor, steps: Steps) -> "Known":
@@ -143,9 +164,10 @@ class Known:
     def most(self, steps: int) -> float:
         """The return of an episode whose every step gives what the best one has given so far.
 
-        Learned rewards promise hardly more than that. Given rewards are known everywhere: inf.
+        Learned rewards promise hardly more than that. Given rewards are known everywhere: inf. So
+        it is of graded ones, which are small far from success.
         """
-        if self.models.reward is not None:
+        if self.models.reward is not None or self.models.graded:
             return inf
         best, ends = float(self.steps.reward.max()), bool(self.steps.ended.any())
         fewest = 1 if ends else min(steps, self.models.most_steps)
@@ -172,7 +194,7 @@ class Known:
     def _world(self, kind: Callable[..., Any], count: int, most: int, generator: Generator) -> Any:
         steps = int(min(most, self.models.most_steps))
         starts = Imagined.drawn(self.starts.double(), count, generator)
-        least = float(self.steps.reward.min())
+        least = 0.0 if self.models.graded else float(self.steps.reward.min())
         ways = self.models.effect, self.limits.valid
         return kind(starts, self.gamma, self.reward, steps, least, *ways)
 

@@ -41,12 +41,8 @@ from cgtorch.simulation import rollout
 
 EACH = 8
 """Imagined episodes of an individual that explores; each generation has other ones."""
-EPISODES, SHORT = 4, 25
-"""Episodes of random controls to begin with, and steps after which they are broken off."""
-LOOKS = 500
-"""First percepts of episodes that are looked at, without a step."""
-CHANGES = (1.0, 0.25, 0.06)
-"""Chances of another control in each step; an episode has one of them."""
+SHORT = 25
+"""Steps after which the first episodes, of random controls, are broken off."""
 HORIZON = 1000
 """Steps of an imagined episode at most."""
 CURIOUS_STEPS, EXPLORING = 100, 10
@@ -90,24 +86,35 @@ class Search:
 
     def begun(self, generator: Generator) -> State:
         """What is known after looks and episodes of random controls."""
-        setup, before = self.setup, self.setup.purse.total
-        setup.purse.pay(STARTS, Asked(looks=LOOKS))
-        starts = first_percepts(setup.world_of(self.draw(LOOKS, generator)))
+        setup, models, before = self.setup, self.models, self.setup.purse.total
+        setup.purse.pay(STARTS, Asked(looks=models.looks))
+        starts = first_percepts(setup.world_of(self.draw(models.looks, generator)))
         looks = setup.purse.total - before
         parts, total = list[Steps](), NOTHING
-        for number in range(EPISODES):
-            change = CHANGES[number % len(CHANGES)]
+        for change in models.changes:
             episode, before = self._episode(RANDOM, SHORT, generator), setup.purse.total
-            control = lambda: self.models.random_control(generator)  # noqa: E731
-            parts.append(tried_out(episode, control, change, generator))
+            parts.append(tried_out(episode, models.random_control, change, generator))
+            total += setup.purse.total - before
+        for graphs in self._random_graphs(models.tries, generator):
+            episode, before = self._episode(RANDOM, HORIZON, generator), setup.purse.total
+            parts.append(played(episode, graphs, setup.actions, setup.max_transitions)[1])
             total += setup.purse.total - before
         began = time.perf_counter()
-        known = self.models.learned(starts, Steps.joined(parts))
+        known = models.learned(starts, Steps.joined(parts))
         state = self.first_state(known).met(known, STARTS, looks).met(known, RANDOM, total)
-        summary = ModelSummary(f"{EPISODES} episodes of random controls: {known.summary()}")
+        summary = ModelSummary(f"{len(parts)} random episodes: {known.summary()}")
         seconds = time.perf_counter() - began
         setup.watch(ModelsFitted(setup.name, replace(summary, first=True), seconds))
         return state
+
+    def _random_graphs(self, count: int, generator: Generator) -> list[Graphs]:
+        """So many random graphs, such as a search begins with."""
+        if not count:
+            return []
+        s = self.setup.evolution
+        about = self.setup.actions, s.capacity, s.initial_nodes, generator
+        found = s.first_graphs(count, *about)
+        return [found[i : i + 1] for i in range(count)]
 
     def _episode(self, phase: str, most: float, generator: Generator) -> OneEpisode:
         """A fresh episode in the world, broken off after so many steps."""
@@ -157,6 +164,10 @@ class Search:
         if self.setup.purse.late():
             return state, False
         state, graphs = replace(state, waited=0), generation.champion.graphs
+        if self.models.graded:
+            holder = state.inner.holder
+            best = self.skill_of(graphs) if holder is None else holder.skill
+            return self._champion_played(state, best, generator)
         if self.telling(graphs, state.known, generator):
             return self._played(state, graphs, CURIOUS, CURIOUS_STEPS, generator)[0], False
         curious = self.exploring(state.known, generator)
@@ -218,7 +229,7 @@ class Search:
             known = known.after(start, steps)
         state = state.met(known, phase, asked)
         returned = None if reached == -inf else reached
-        about = returned, asked.motions, state.steps
+        about = returned, asked.steps or asked.motions, state.steps
         setup.watch(EpisodePlayed(setup.name, phase, *about))
         return state, reached, said - reached
 

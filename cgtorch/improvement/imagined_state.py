@@ -1,6 +1,6 @@
 """The state of a search in imagined episodes (`cgtorch.improvement.imagined`), and its tensors."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
 from math import inf
 from typing import Any, Protocol, Self
@@ -94,8 +94,28 @@ class Models(Protocol):
         """Steps after which the world ends an episode by itself; inf if it never does."""
         ...
 
-    def random_control(self, generator: Generator) -> Tensor:
-        """(1, U) a random control."""
+    @property
+    def graded(self) -> bool:
+        """Whether rewards tell of any state how close it is to success."""
+        ...
+
+    @property
+    def looks(self) -> int:
+        """First percepts of episodes that are looked at, without a step."""
+        ...
+
+    @property
+    def changes(self) -> Sequence[float]:
+        """Chances of another control in each step, of each of the first episodes."""
+        ...
+
+    @property
+    def tries(self) -> int:
+        """The number of random graphs that are played after them."""
+        ...
+
+    def random_control(self, percept: Tensor, generator: Generator) -> Tensor:
+        """(1, U) a random control at a percept (1, D)."""
         ...
 
     def learned(self, starts: Tensor, steps: Steps) -> Any:
@@ -140,8 +160,8 @@ class State:
 
     @property
     def steps(self) -> int:
-        """The number of steps in the world."""
-        return sum(each.motions for each in self.asked.values())
+        """The number of steps in the world, of low-level ones where these are counted."""
+        return sum(each.steps or each.motions for each in self.asked.values())
 
     def met(self, known: Known, phase: str, asked: Asked) -> "State":
         """The state after the world was asked something, from which all was learned."""

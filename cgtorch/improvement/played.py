@@ -8,8 +8,8 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.graphs import ActionSet, Graphs
-from cgtorch.ground.asked import Asked, Purse
-from cgtorch.ground.environment import Lanes, start_lanes
+from cgtorch.ground.asked import NOTHING, Asked, Purse
+from cgtorch.ground.environment import Lanes, asked_of, start_lanes
 from cgtorch.simulation import rollout
 
 
@@ -67,9 +67,14 @@ class OneEpisode:
 
     def step(self, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:
         """See `Environment.step`."""
-        able = control.isfinite().all(1) & ~self.world.over(lanes)  # others are not carried out
-        self.purse.pay(self.phase, Asked(motions=int(able.sum())))
+        able = control.isfinite().all(1) & ~self.world.over(lanes)
+        if not able.all():  # nothing is carried out
+            return lanes, able
+        self.purse.pay(self.phase, Asked(motions=len(lanes)))
+        before = asked_of(self.world)
         after, done = self.world.step(lanes, control)
+        if (low := asked_of(self.world) - before) != NOTHING:  # known afterwards only
+            self.purse.add(self.phase, low)
         gain = (self.world.returns(after) - self.world.returns(lanes)).double()
         ended = self.world.over(after) & (len(self.steps) + 1 < self.limit)
         parts = lanes.percept, control, after.percept, gain, ended
@@ -96,16 +101,23 @@ def played(
 
 
 def tried_out(
-    episode: OneEpisode, draw: Callable[[], Tensor], change: float, generator: Generator
+    episode: OneEpisode,
+    draw: Callable[[Tensor, Generator], Tensor],
+    change: float,
+    generator: Generator,
 ) -> Steps:
-    """The steps of an episode of random controls (1, U), each drawn anew with chance `change`."""
+    """The steps of an episode of random controls, each drawn anew with chance `change`.
+
+    `draw` maps a percept (1, D) and a generator to a control (1, U).
+    """
     episode.purse.pay(episode.phase, Asked(episodes=1))
-    lanes, control = start_lanes(episode, torch.arange(1), 0, 0), draw()
+    lanes = start_lanes(episode, torch.arange(1), 0, 0)
+    control = draw(lanes.percept, generator)
     while not bool(episode.over(lanes).any()):
         lanes, _ = episode.step(lanes, control)
         lanes = replace(lanes, step=lanes.step + 1)
         if float(torch.rand((), generator=generator)) < change:
-            control = draw()
+            control = draw(lanes.percept, generator)
     return _all_steps(episode)
 
 

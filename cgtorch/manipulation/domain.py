@@ -10,16 +10,25 @@ from torch import Generator
 
 from cgtorch.domains.domain import Domain, Specialists
 from cgtorch.domains.files import Files
+from cgtorch.domains.rewarded_models import RewardedModels
 from cgtorch.graphs import ActionSet, BranchingNN
+from cgtorch.ground.errors import DomainError
 from cgtorch.manipulation import fetch, metaworld
 from cgtorch.manipulation.arm import Arm, place_names
 from cgtorch.manipulation.film import ArmPictures
+from cgtorch.manipulation.models import ArmModels
 from cgtorch.manipulation.primitives import Wait, primitives
 from cgtorch.manipulation.settings import WITH_ID, FetchSettings, ManipulationSettings
 from cgtorch.manipulation.simulator import Simulator
 from cgtorch.manipulation.steer import Steer
 from cgtorch.manipulation.strike import Strike
-from cgtorch.manipulation.world import CONTROL, ArmWorld, Simulators, Starts
+from cgtorch.manipulation.world import (
+    CONTROL,
+    ArmWorld,
+    GradedArmWorld,
+    Simulators,
+    Starts,
+)
 
 MOST_SEEDS = 2**31
 EVERY = "every-task"
@@ -52,7 +61,7 @@ class Manipulation(Domain[Starts]):
 
     settings: ManipulationSettings
     settings_type = ManipulationSettings
-    models = None
+    models: ClassVar[type[RewardedModels[Any]] | None] = None
     control = CONTROL
     specialists = Specialists(group=32, team=64, stall=8)
     files = ManipulationFiles
@@ -126,6 +135,32 @@ class MetaWorld(Manipulation):
     view = (155.0, -30.0, 1.4)
     make = metaworld.MetaWorldSimulator
     named = staticmethod(metaworld.tasks_of)
+
+    def sparing(self) -> "SparingMetaWorld":
+        """See `Sparing`."""
+        return SparingMetaWorld(self.settings)
+
+
+class SparingMetaWorld(MetaWorld):
+    """A single task in which each segment counts, as Γ is learned of it."""
+
+    models = ArmModels
+    target_return = 0.97
+
+    def __init__(self, settings: ManipulationSettings) -> None:
+        """The task of the settings; DomainError if there are several."""
+        super().__init__(settings)
+        if len(self.tasks) > 1:
+            raise DomainError(
+                f"{settings.name!r} has {len(self.tasks)} tasks, and Γ is learned of a single one; "
+                f"name one, such as metaworld:{self.tasks[0]}, or evolve in the world itself: "
+                "models 'none' (--models none)"
+            )
+        self.stages = {}
+
+    def world(self, scenarios: Starts) -> GradedArmWorld:
+        """See `Domain.world`."""
+        return GradedArmWorld(scenarios, self.simulators, self.arm, self._size, self.num_ids)
 
 
 class Fetch(Manipulation):

@@ -1,9 +1,9 @@
 """Episodes of one task of an arm, which continue from any state.
 
-A row describes a state: low-level steps so far, whether the task has been solved, how close it came
-to that, after how many steps it last came closer, what is seen, and the state of the environment
-(`cgtorch.manipulation.mujoco_states`). A control is a segment: the hand moves to a target, at most
-for a number of low-level steps.
+A row describes a state: low-level steps so far, whether the task has been solved, how close it is
+to that and how close it came, after how many steps it last came closer, what is seen, and the state
+of the environment (`cgtorch.manipulation.mujoco_states`). A control is a segment: the hand moves to
+a target, at most for a number of low-level steps.
 """
 
 from abc import ABC, abstractmethod
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cgtorch.manipulation.mujoco_states import MujocoStates
 
-STEPS, SOLVED, CLOSEST, CLOSER, SEEN = range(5)
+STEPS, SOLVED, CLOSE, CLOSEST, CLOSER, SEEN = range(6)
 """Columns of a row; what is seen begins at the last."""
 X, Y, Z, GRIP, LIMIT, SPEED, NEAR = range(7)
 """Columns of a control: a target in m, -1 to open the gripper or 1 to close it, low-level steps at
@@ -95,7 +95,8 @@ class Simulator(ABC):
     def start(self, seed: int) -> Floats:
         """The row of a start."""
         state, observation = self.states.start(seed)
-        head = [0.0, 0.0, self.closeness(observation), 0.0]
+        close = self.closeness(observation)
+        head = [0.0, 0.0, close, close, 0.0]
         return np.concatenate([head, self.perceive(observation), state])
 
     def over(self, row: Floats) -> bool:
@@ -124,7 +125,8 @@ class Simulator(ABC):
         self.states.write(row[SEEN + self.seen :], seed)
         limit = int(np.clip(control[LIMIT], 1, self.horizon - row[STEPS]))
         speed = np.clip(control[SPEED], 0.05, 1.0)
-        done, solved, closest, found = 0, False, row[CLOSEST], None
+        done, solved, found = 0, False, None
+        now, closest = row[CLOSE], row[CLOSEST]
         places = list[Floats]()
         while True:
             places.append(self.hand().copy())
@@ -148,5 +150,5 @@ class Simulator(ABC):
         solved &= not self.at_the_end or row[STEPS] + done >= self.horizon
         steps = row[STEPS] + done
         closer = steps if closest > row[CLOSEST] + CLEARLY else row[CLOSER]
-        head = [steps, float(solved), closest, closer]
+        head = [steps, float(solved), now, closest, closer]
         return np.concatenate([head, self.perceive(found[0]), self.states.read()])

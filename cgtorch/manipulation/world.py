@@ -15,7 +15,16 @@ from cgtorch.ground.asked import Asked
 from cgtorch.ground.environment import Lanes, ScenarioBatch
 from cgtorch.ground.fields import Field
 from cgtorch.manipulation.arm import Arm
-from cgtorch.manipulation.simulator import CLOSER, CLOSEST, SEEN, SOLVED, STEPS, Floats, Simulator
+from cgtorch.manipulation.simulator import (
+    CLOSE,
+    CLOSER,
+    CLOSEST,
+    SEEN,
+    SOLVED,
+    STEPS,
+    Floats,
+    Simulator,
+)
 
 CONTROL = (
     Field("x", "m"), Field("y", "m"), Field("z", "m"), Field("gripper", low=-1, high=1),
@@ -148,6 +157,16 @@ class ArmWorld(World):
         for i, row in enumerate(rows):
             state[i, : len(row)] = row
         return torch.from_numpy(state)
+
+
+class GradedArmWorld(ArmWorld):
+    """The same with returns: how close an episode is to success, once it has begun."""
+
+    def returns(self, lanes: Lanes) -> Tensor:
+        """See `Rewarded.returns`."""
+        state = lanes.state
+        graded = GRADED * state[:, CLOSE].clamp(0, 1) * (state[:, STEPS] > 0)
+        return torch.where(self.succeeded(state), 1.0, graded)
 
 
 def _hurried(row: Floats, simulator: Simulator) -> Floats:

@@ -63,7 +63,8 @@ def test_controls_count_as_far_as_their_bounds(known: Known) -> None:
     assert known.steps.control.abs().max() == 1
     models = known.models
     assert models.effect(torch.tensor([[5.0], [0.5], [-2.0]])).tolist() == [[1], [0.5], [-1]]
-    drawn = torch.cat([models.random_control(seeded(seed)) for seed in range(20)])
+    here = torch.zeros(1, 2)
+    drawn = torch.cat([models.random_control(here, seeded(seed)) for seed in range(20)])
     assert drawn.shape == (20, 1)
     assert drawn.abs().max() <= 1
     assert len(drawn.unique()) == 20

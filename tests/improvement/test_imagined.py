@@ -10,14 +10,14 @@ import pytest
 import torch
 from rewarded_cart import CartModels, GivenModels, Places, RewardedCart, Track
 from support import same, seeded
-from torch import Generator
+from torch import Generator, Tensor
 from watched import of_kind
 
 from cgtorch.evolution import REWARDS, Generation
 from cgtorch.evolution.population import random_population
 from cgtorch.evolution.search import derived_generator
 from cgtorch.graphs import Skill, compacted
-from cgtorch.ground.asked import BudgetSpentError, Purse
+from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
 from cgtorch.ground.environment import Lanes, start_lanes
 from cgtorch.improvement import imagined
 from cgtorch.improvement.events import (
@@ -30,7 +30,7 @@ from cgtorch.improvement.events import (
     SkillAccepted,
 )
 from cgtorch.improvement.imagined import _ended, _founded, _recalled, improve_imagined
-from cgtorch.improvement.imagined_search import EPISODES, LOOKS, SHORT, Search
+from cgtorch.improvement.imagined_search import SHORT, Search
 from cgtorch.improvement.imagined_state import State
 from cgtorch.improvement.paired_race import Holder
 from cgtorch.improvement.played import OneEpisode, Steps, tried_out
@@ -43,6 +43,7 @@ DOMAIN = RewardedCart()
 NOTHING = DOMAIN.draw("any", 0, seeded(0))
 BEFORE: Progress[Places] = Progress(None, NOTHING, NOTHING, None)
 SMALL = replace(REWARDS, population=16)
+LOOKS, EPISODES = CartModels.looks, len(CartModels.changes)
 
 
 def setup_of(watch: Callable[[Event], Any], **others: Any) -> Setup[Places]:
@@ -318,14 +319,12 @@ def test_what_is_not_carried_out_costs_nothing_and_is_no_step() -> None:
     assert float(episode.returns(lanes)) == 19
     episode.step(lanes, torch.ones(1, 1))
     assert purse.total.motions == 1  # as it is over
-    first, second, third = episode.steps
-    assert [len(first), len(second)] == [0, 1]
+    (second,) = episode.steps
     assert second.rows(torch.tensor([True])).reward.tolist() == [19]
     assert (
         Steps.joined([second, second.rows(torch.zeros(2, dtype=torch.long))]).ended.tolist()
         == [True] * 3
     )
-    assert len(third) <= 1
 
 
 class Clock(Track):
@@ -339,8 +338,51 @@ class Clock(Track):
 def test_the_steps_of_random_controls_are_numbered_as_those_of_a_skill() -> None:
     track = Clock(Places(torch.tensor([-5.0])))
     episode = OneEpisode(track, Purse(), "trials", 4, 30)
-    tried_out(episode, lambda: torch.ones(1, 1), 0.5, seeded(0))
+    tried_out(episode, lambda *_: torch.ones(1, 1), 0.5, seeded(0))
     assert track.met == [0, 1, 2, 3]
+
+
+def test_random_controls_are_drawn_at_what_is_perceived() -> None:
+    track, seen = Track(Places(torch.tensor([-5.0]))), list[float]()
+
+    def draw(percept: Tensor, generator: Generator) -> Tensor:
+        seen.append(float(percept[0, 0]))
+        return torch.ones(1, 1)
+
+    steps = tried_out(OneEpisode(track, Purse(), "trials", 3, 30), draw, 1.0, seeded(0))
+    assert seen == [-5.0, *steps.after[:, 0].tolist()]
+
+
+def test_nothing_is_kept_or_counted_after_the_end_of_an_episode() -> None:
+    purse, track = Purse(), Track(Places(torch.tensor([0.95])))
+    episode = OneEpisode(track, purse, "trials", 9, 30)
+    lanes = start_lanes(episode, torch.arange(1), 0, 0)
+    push = torch.ones(1, 1)
+    lanes, done = episode.step(lanes, push)
+    assert (bool(episode.over(lanes)), done.tolist()) == (True, [True])
+    after, done = episode.step(lanes, push)  # as an action of several steps goes on
+    assert (done.tolist(), torch.equal(after.state, lanes.state)) == ([False], True)
+    assert (len(episode.steps), purse.total.motions) == (1, 1)
+
+
+class LowLevel(Track):
+    """A track each step of which takes seven low-level ones."""
+
+    steps = 0
+
+    def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+        self.steps += 7
+        return super().next_state(state, control, scenario)
+
+    @property
+    def asked(self) -> Asked:
+        return Asked(steps=self.steps, simulated=self.steps)
+
+
+def test_low_level_steps_are_counted() -> None:
+    purse, track = Purse(), LowLevel(Places(torch.tensor([-5.0])))
+    tried_out(OneEpisode(track, purse, "trials", 3, 30), lambda *_: torch.ones(1, 1), 1, seeded(0))
+    assert (purse.total.motions, purse.total.steps, purse.total.simulated) == (3, 21, 21)
 
 
 class TwoNumbers(Track):
@@ -363,7 +405,7 @@ def test_an_episode_is_broken_off_and_only_its_own_end_is_one() -> None:
         purse = Purse()
         world = DOMAIN.world(Places(torch.tensor([place])))
         episode = OneEpisode(world, purse, "trials", most, limit)
-        steps = tried_out(episode, lambda: torch.ones(1, 1), 0.5, seeded(0))
+        steps = tried_out(episode, lambda *_: torch.ones(1, 1), 0.5, seeded(0))
         return len(steps), steps.ended.tolist(), purse.total.motions
 
     assert steps_of(-5.0, 3, 30) == (3, [False] * 3, 3)

@@ -18,11 +18,8 @@ from cgtorch.ground.asked import Asked, Purse
 from cgtorch.improvement import imagined_search
 from cgtorch.improvement.events import EpisodePlayed, Event, MeanTested, ModelsFitted
 from cgtorch.improvement.imagined_search import (
-    CHANGES,
-    EPISODES,
     FRESH,
     HORIZON,
-    LOOKS,
     MOST_CAUTIOUS,
     SHORT,
     Search,
@@ -42,6 +39,7 @@ from cgtorch.improvement.setup import Budget, Setup
 DOMAIN = RewardedCart()
 NOTHING = DOMAIN.draw("any", 0, seeded(0))
 KNOWN = BY_ROLLOUT.known
+LOOKS, EPISODES = CartModels.looks, len(CartModels.changes)
 
 
 def search_of(
@@ -92,7 +90,7 @@ def test_it_begins_with_looks_and_episodes_of_random_controls(beginning: Beginni
     control = state.known.steps.control[:, 0]
     same_one = (control[1:] == control[:-1]).float()
     # The first of the episodes draws each control anew, and later ones do so less often.
-    assert CHANGES[0] == 1
+    assert CartModels.changes[0] == 1
     assert same_one[:10].sum() == 0
     assert same_one.sum() > 10
 

@@ -16,7 +16,7 @@ def test_an_episode_begins_with_nothing_done(finger: Finger) -> None:
     assert (finger.simulated, finger.requested, finger.watch) == (0, 0, None)
     finger.told = 0.25
     row = finger.start(3)
-    assert row[:SEEN].tolist() == [0.0, 0.0, 0.25, 0.0]
+    assert row[:SEEN].tolist() == [0.0, 0.0, 0.25, 0.25, 0.0]
     assert row[SEEN : SEEN + 4].tolist() == [0.0, 0.03, 0.0, 0.0]
     assert len(row) == finger.size == SEEN + 4 + finger.states.size
     assert not finger.over(row)
@@ -76,7 +76,7 @@ def test_a_segment_ends_where_a_hand_is_stopped(
 
 def test_a_task_is_solved_wherever_it_is(finger: Finger) -> None:
     after = finger.run(finger.start(0), 0, control(0.5))
-    assert after[: SEEN + 1].tolist() == pytest.approx([2, 1, 1, 2, 0.1])
+    assert after[: SEEN + 1].tolist() == pytest.approx([2, 1, 1, 1, 2, 0.1])
     assert finger.over(after)
     assert finger.run(after, 0, control(0.5)) is after
 
@@ -84,32 +84,32 @@ def test_a_task_is_solved_wherever_it_is(finger: Finger) -> None:
 def test_it_is_solved_where_that_is_looked_at(finger: Finger) -> None:
     finger.every, finger.width = 3, 0.06
     after = finger.run(finger.start(0), 0, control(0.5, limit=7))
-    assert after[: SEEN + 1].tolist() == pytest.approx([3, 1, 0.5, 3, 0.15])
+    assert after[: SEEN + 1].tolist() == pytest.approx([3, 1, 0.5, 0.5, 3, 0.15])
 
 
 def test_a_task_that_counts_at_the_end_goes_on() -> None:
     finger = Patient()
     row = finger.start(0)
     passed = finger.run(row, 0, control(0.5, limit=3))
-    assert passed[: SEEN + 1].tolist() == pytest.approx([3, 0, 0.5, 3, 0.15])
+    assert passed[: SEEN + 1].tolist() == pytest.approx([3, 0, 0.5, 0.5, 3, 0.15])
     there = finger.run(passed, 0, control(0.1, limit=30, near=0.0))
-    assert there[: SEEN + 1].tolist() == pytest.approx([33, 0, 1, 33, 0.1])
+    assert there[: SEEN + 1].tolist() == pytest.approx([33, 0, 1, 1, 33, 0.1])
     assert not finger.over(there)
     stays = finger.run(there, 0, control(0.1, limit=30, near=0.0))
-    assert stays[: SEEN + 1].tolist() == pytest.approx([40, 1, 1, 33, 0.1])
+    assert stays[: SEEN + 1].tolist() == pytest.approx([40, 1, 1, 1, 33, 0.1])
     leaves = finger.run(there, 0, control(0.3, limit=30, near=0.0))
-    assert leaves[: SEEN + 1].tolist() == pytest.approx([40, 0, 0, 33, 0.3], abs=1e-2)
+    assert leaves[: SEEN + 1].tolist() == pytest.approx([40, 0, 0, 0, 33, 0.3], abs=1e-2)
 
 
 def test_the_closest_look_counts_and_when_it_was(finger: Finger) -> None:
     finger.width = 0.0  # never solved
     row = finger.start(0)
     near = finger.run(row, 0, control(0.5, limit=1))
-    assert near[:SEEN].tolist() == pytest.approx([1, 0, 0.5, 1])
+    assert near[:SEEN].tolist() == pytest.approx([1, 0, 0.5, 0.5, 1])
     past = finger.run(near, 0, control(0.5, limit=4))
-    assert past[:SEEN].tolist() == pytest.approx([5, 0, 1, 5])  # it was there on the way
+    assert past[:SEEN].tolist() == pytest.approx([5, 0, 0, 1, 5])  # it was there on the way
     away = finger.run(past, 0, control(0.9, limit=2))
-    assert away[:SEEN].tolist() == pytest.approx([7, 0, 1, 5])
+    assert away[:SEEN].tolist() == pytest.approx([7, 0, 0, 1, 5])
 
 
 @pytest.mark.parametrize(("told", "closer"), [(0.005, 0), (0.0051, 9), (0.9, 9)])

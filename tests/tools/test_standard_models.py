@@ -14,7 +14,7 @@ from support import seeded
 
 from cgtorch.ground.environment import start_lanes
 from cgtorch.improvement.imagined import improve_imagined
-from cgtorch.improvement.imagined_search import CURIOUS_STEPS, EPISODES, LOOKS, SHORT
+from cgtorch.improvement.imagined_search import CURIOUS_STEPS, SHORT
 from cgtorch.improvement.setup import Progress
 
 
@@ -59,10 +59,11 @@ def test_it_begins_with_few_steps_in_the_world_and_counts_them() -> None:
     before: Progress[Starts] = Progress(None, nothing, nothing, None)
     models = TaskModels(trial.task, GIVEN["pendulum"])
     after = improve_imagined(setup, before, nothing, drawn, models)
-    steps, begun = trial.counts.world_steps, EPISODES * SHORT
+    episodes = len(TaskModels.changes)
+    steps, begun = trial.counts.world_steps, episodes * SHORT
     assert steps == len(after.knowledge.steps)
     assert begun <= steps <= begun + CURIOUS_STEPS  # with what its only generation explored
-    assert trial.counts.episodes == LOOKS + EPISODES + (steps > begun)
+    assert trial.counts.episodes == TaskModels.looks + episodes + (steps > begun)
     assert after.knowledge.limits.circles == ((0, 1, 1.0),)
 
 
