@@ -56,12 +56,13 @@ def completed(root: Any, where: str) -> None:
 def bounded(root: Any) -> None:
     """Take out limits that are infinite, in place: they are none.
 
-    A joint that turns, and both of whose ends are infinite, is continuous.
+    A joint that turns, and both of whose ends are infinite or not given, is continuous.
     """
     for joint in root.findall("joint"):
         for limit in joint.findall("limit"):
             none = {name for name, text in limit.attrib.items() if _is_infinite(text)}
-            if joint.get("type") == "revolute" and none.issuperset(ENDS):
+            given = none.symmetric_difference(limit.attrib)
+            if joint.get("type") == "revolute" and given.isdisjoint(ENDS):
                 joint.set("type", "continuous")
             if joint.get("type") in LIMITED:
                 none -= set(ENDS)

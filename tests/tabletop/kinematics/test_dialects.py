@@ -67,6 +67,15 @@ def test_limits_are_nought_where_they_are_not_given(tmp_path):
     assert limit("continuous", '<limit effort="4"/>') == (None, None, 4, 0)
 
 
+def test_a_joint_that_turns_and_whose_limit_has_no_ends_is_continuous(tmp_path):
+    def joint(kind):
+        return read(tmp_path, "", kind, '<limit effort="4" velocity="3"/>').joint_map["j"]
+
+    turning, sliding = joint("revolute"), joint("prismatic")
+    assert (turning.type, turning.limit.effort) == ("continuous", 4)
+    assert (sliding.type, sliding.limit.lower, sliding.limit.upper) == ("prismatic", 0, 0)
+
+
 def test_limits_that_are_infinite_are_none(tmp_path):
     every = '<limit lower="-inf" upper="inf" effort="inf" velocity="2"/>'
     for kind in ("revolute", "continuous"):
