@@ -124,7 +124,7 @@ def propose(
     urdf.model.update_cfg(held if torso is None else {**held, torso: position})
     if torso is not None and wishes.torso_position is None:
         position = _torso_position(structure, urdf.joint(torso), chains)
-    arms = wishes.arms
+    arms = tuple(_from_base(structure, arm) for arm in wishes.arms)
     if not arms:
         urdf, arms = _arms(structure, hands, chains, notes)
         structure = Structure(urdf, base, corners)
@@ -176,6 +176,12 @@ def _hand_of(structure: Structure, arm: Arm) -> str:
     joints = structure.urdf.joints_between(arm.base_link, arm.tool_frame)
     moving = [joint for joint in joints if joint.type in MOVING]
     return str(moving[-1].child if moving else arm.base_link)
+
+
+def _from_base(structure: Structure, arm: Arm) -> Arm:
+    """An arm that begins at the base frame, if it is said to begin at a link above that."""
+    below = arm.base_link in structure.hanging(structure.base)
+    return arm if below else replace(arm, base_link=structure.base)
 
 
 def _chains(structure: Structure, hands: list[str]) -> tuple[list[Any], list[list[Any]]]:

@@ -88,6 +88,14 @@ def test_no_arm_is_said_with_what_to_do(tmp_path):
     assert proposed(text, tmp_path, wish).words.arms == wish.arms
 
 
+def test_an_arm_that_is_said_to_begin_above_the_base_frame_begins_there(tmp_path):
+    root = link("world", "") + link("base", box("0.3 0.3 1", "0 0 0.5"))
+    root += joint("base", "world", "0 0 0", kind="fixed", more="")
+    text = f'<robot name="x">{root}{chain("b", 3, "base", first="0.2 0 0.5")}</robot>'
+    wish = Wishes(arms=(Arm("short", "world", "b2"),), base_frame="base")
+    assert proposed(text, tmp_path, wish).words.arms == (Arm("short", "base", "b2"),)
+
+
 def test_the_tool_frame_lies_between_the_finger_tips(tmp_path):
     plain, _ = without_meshes(load_urdf(mesh_robot.write_package(tmp_path)))
     found = propose(plain, Wishes())
