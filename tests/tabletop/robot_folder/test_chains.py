@@ -129,6 +129,8 @@ def test_a_head_without_fingers_is_no_arm_where_others_have_some(tmp_path):
     [
         (box("0.02 0.02 0.1", "0.01 0 0.06"), "0 1 0", True, True),
         (box("0.02 0.02 0.1", "0.01 0 0.06", "visual"), "0 1 0", True, True),
+        (box("0.02 0.02 0.1", "0.01 0.04 0.06"), "0 1 0", True, True),  # aside along its axis
+        (box("0.02 0.02 0.1", "0.01 0.05 0.06"), "0 1 0", True, False),
         (box("0.02 0.02 0.1", "0.01 0 0.06"), "0 1 0", False, False),  # nothing to close against
         (box("0.02 0.02 0.1", "0 0 0.06"), "0 0 1", True, False),  # it turns about itself
         (box("0.05 0.05 0.05"), "0 1 0", True, False),  # it lies around its axis
