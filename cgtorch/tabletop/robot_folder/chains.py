@@ -244,7 +244,7 @@ def _legs(structure: Structure, long: list[Chain], every: list[Chain]) -> set[st
     from a torso that does not stand.
     """
     floor = _floor(structure)
-    if _lowest(structure, structure.rigid(structure.base)) <= floor:
+    if lowest(structure, structure.rigid(structure.base)) <= floor:
         return set()
     stand = [chain for chain in long if _stands(structure, chain, floor)]
     held = any(chain.fingers and chain not in stand for chain in every)
@@ -283,17 +283,17 @@ def _from_base(long: list[Chain]) -> set[str]:
 
 def _floor(structure: Structure) -> float:
     """The height below which something stands on the floor, m."""
-    return ON_FLOOR + _lowest(structure, structure.hanging(structure.base))
+    return ON_FLOOR + lowest(structure, structure.hanging(structure.base))
 
 
 def _stands(structure: Structure, chain: Chain, floor: float) -> bool:
     """Whether a chain leads down to the floor."""
     first = chain.own[0].child
-    low = _lowest(structure, structure.hanging(first))
+    low = lowest(structure, structure.hanging(first))
     drop = float(structure.pose(first)[2, 3]) - low
     return low <= floor and drop >= DOWN * _reach(structure, chain)
 
 
-def _lowest(structure: Structure, links: list[str]) -> float:
-    """The height of the lowest point of links, m."""
+def lowest(structure: Structure, links: list[str]) -> float:
+    """The height of the lowest point of links, or of what is seen of those without shapes, m."""
     return float(structure.seen(links)[:, 2].min(initial=math.inf))

@@ -167,8 +167,9 @@ def _found(structure: Structure, notes: list[str]) -> tuple[list[str], list[Any]
         )
     if others:
         notes.append(f"no arms: {others}; name them by --arm if that is wrong")
-    shared = {joint.name: joint for arm in arms for joint in arm.joints[: arm.shared]}
-    return [arm.link for arm in arms], list(shared.values()), [list(arm.own) for arm in arms]
+    before = [{joint.name: joint for joint in arm.joints[: arm.shared]} for arm in arms]
+    shared = [joint for name, joint in before[0].items() if all(name in each for each in before)]
+    return [arm.link for arm in arms], shared, [list(arm.own) for arm in arms]
 
 
 def _hand_of(structure: Structure, arm: Arm) -> str:

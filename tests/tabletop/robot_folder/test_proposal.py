@@ -232,6 +232,18 @@ def test_what_moves_all_hands_or_lifts_them_is_the_torso(tmp_path):
     assert found("p5", "p3") == (["lift_joint", *one[:4]], [one[4:], []])
 
 
+def test_a_slide_below_one_of_two_arms_is_no_torso(tmp_path):
+    """As where each arm has a lift of its own."""
+    text = link("base", box("0.3 0.3 0.3", "0 0 0.15"))
+    for name, at in (("left", "0.2 0.3 0.5"), ("right", "0.2 -0.3 0.5")):
+        text += link(f"{name}_lift") + joint(f"{name}_lift", "base", at, kind="prismatic")
+        text += chain(name, 5, f"{name}_lift")
+    words = proposed(f'<robot name="x">{text}</robot>', tmp_path).words
+    assert {arm.base_link for arm in words.arms} == {"left_lift", "right_lift"}
+    assert words.torso_joint is None
+    assert words.gripper_joints == {"left_lift_joint": 0.0, "right_lift_joint": 0.0}
+
+
 @pytest.mark.parametrize("other", [("base", "p3"), ("base", "p1"), ("base", "base")])
 def test_an_arm_without_joints_of_its_own_is_named(tmp_path, other):
     text = "".join((link("base", box("0.3 0.3 1", "0 0 0.5")), chain("p", 4, "base", first=FRONT)))
