@@ -3,10 +3,11 @@
 import ctypes
 import gc
 import itertools
+import math
 import os
+import re
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from ctypes.util import find_library
@@ -18,6 +19,8 @@ from typing import Any, NoReturn, TypeVar
 import click
 
 from cgtorch.commands import completion
+from cgtorch.commands.aside import foreign_reason, tell_in_lines
+from cgtorch.ground.ending import end_in_time
 from cgtorch.ground.errors import CgtorchError, RunError, WorldError, printable
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -53,8 +56,7 @@ def resumable(command: str) -> Iterator[None]:
 def run_command(command: click.Command) -> None:
     """Run a command and exit: 0 done, 1 not achieved, 2 bad input, with one line on stderr."""
     name = command.name or "cgtorch"
-    # A thread that cannot write, such as TensorBoard's, stops the command, which says so once.
-    previous, threading.excepthook = threading.excepthook, _report_thread
+    tell_no_more = tell_in_lines(name)
     names = (each for each in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, each))
     before = {each: signal.getsignal(each) for each in map(signal.Signals.__getitem__, names)}
     for each, handler in before.items():
@@ -83,12 +85,29 @@ def run_command(command: click.Command) -> None:
         reason = e.strerror or type(e).__name__
         _end(name, f"cannot read or write{where} ({reason}); check the path and the disk", 2)
     except (Exception, SystemExit) as e:
-        _end_in_foreign_code(name, e)
+        _end_if_known(name, e)
         raise
     finally:
-        threading.excepthook = previous
+        tell_no_more()
         for each, handler in before.items():
             signal.signal(each, handler)
+
+
+def run_program(command: click.Command) -> None:
+    """Run a command as the whole work of this process, which then ends, whatever is left in it.
+
+    `run_command` does the same where the process goes on.
+    """
+    code: Any = 1
+    tell_in_lines(command.name or "cgtorch")
+    try:
+        run_command(command)
+        code = 0
+    except SystemExit as e:
+        code = e.code
+        raise
+    finally:
+        end_in_time(command.name or "cgtorch", code)
 
 
 _interrupts = list[int]()
@@ -123,19 +142,13 @@ def _interrupt(process: int, number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def _report_thread(thread: threading.ExceptHookArgs) -> None:
-    if not issubclass(thread.exc_type, OSError):
-        threading.__excepthook__(thread)
-
-
-def _end_in_foreign_code(name: str, error: BaseException) -> None:
-    """End the command if the error comes from code of the user's own; else return."""
-    if "torch" in sys.modules:  # without it, nothing of the user's has been called
-        from cgtorch.ground.dry_run import failed_at, reason
-
-        if place := failed_at(error):
-            notes = itertools.chain([f"{reason(error)}{place}"], getattr(error, "__notes__", ()))
-            _end(name, "; ".join(notes), 1)
+def _end_if_known(name: str, error: BaseException) -> None:
+    """End the command if the error is of memory or of code of the user's own; else return."""
+    if isinstance(error, MemoryError) or re.search("llocate memory|ut of memory", str(error)):
+        said = "memory ran out; use a smaller population, fewer percepts or fewer processes"
+        _end(name, "; ".join([said, *getattr(error, "__notes__", ())]), 1)
+    if said := foreign_reason(error):
+        _end(name, "; ".join([said, *getattr(error, "__notes__", ())]), 1)
 
 
 def say(line: str) -> None:
@@ -241,15 +254,25 @@ def check_output(output: Path, force: bool) -> None:
             f"{str(output.parent)!r} is no folder, so {str(output)!r} cannot be written; "
             "make it, or choose another --output"
         )
+    if output.exists() and not output.is_file():
+        raise RunError(f"{str(output)!r} is a device or a pipe; choose another --output")
     if output.exists() and not force:
         raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
+
+
+def a_number(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
+    """Refuse nan, which no bound of a number does."""
+    if isinstance(value, float) and math.isnan(value):
+        raise click.BadParameter("nan is no number")
+    return value
 
 
 def number_option(
     name: str, kind: click.IntRange | click.FloatRange, default: float, what: str
 ) -> Callable[[F], F]:
     """Decorator: an option for a number within bounds."""
-    return click.option(name, type=kind, default=default, show_default=True, help=what)
+    about: Any = {"default": default, "show_default": True, "help": what}
+    return click.option(name, type=kind, callback=a_number, **about)
 
 
 def scenario_options(scenarios: str, count: str, seed: str, most: int) -> Callable[[F], F]:

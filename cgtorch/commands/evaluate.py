@@ -236,7 +236,7 @@ def _draw(path: Path, score: "Score", chosen: "Chosen") -> None:
     write_bytes(path, image.getvalue())
 
 
-main = partial(common.run_command, command)
+main = partial(common.run_program, command)
 
 if __name__ == "__main__":
     main()

@@ -84,7 +84,7 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **abo
     common.say(f"{chosen.skill.name} as {form}: {output}, {len(written)} bytes")
 
 
-main = partial(common.run_command, command)
+main = partial(common.run_program, command)
 
 if __name__ == "__main__":
     main()

@@ -6,7 +6,7 @@ from importlib.metadata import distribution
 
 import click
 
-from cgtorch.commands.common import completion_option, epilog, run_command
+from cgtorch.commands.common import completion_option, epilog, run_program
 
 PREFIX = "cgtorch-"
 EXAMPLES = """\b
@@ -52,7 +52,7 @@ def command(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-main = partial(run_command, command)
+main = partial(run_program, command)
 
 if __name__ == "__main__":
     main()

@@ -52,7 +52,7 @@ def command(
     common.say(f"{run} as a page: {output}, {len(page)} bytes")
 
 
-main = partial(common.run_command, command)
+main = partial(common.run_program, command)
 
 if __name__ == "__main__":
     main()

@@ -76,6 +76,7 @@ NO_JOINT = "none"
 @click.option(
     "--stand",
     type=click.FloatRange(0.0, 3.0),
+    callback=common.a_number,
     default=0.0,
     help="The height of a stand on which the robot is put, m, for an arm that has no base of its "
     "own.  [none]",
@@ -189,7 +190,7 @@ def _summary(made: "Made", folder: Path) -> Iterator[str]:
     yield f"{line}{int(grasps.sum())}{f': {why}' if why else ''}"
 
 
-main = partial(common.run_command, command)
+main = partial(common.run_program, command)
 
 if __name__ == "__main__":
     main()

@@ -176,7 +176,7 @@ def _option(f: Field[Any], default: Any, text: str) -> click.Option:
 )
 @click.option(
     "--processes",
-    type=click.IntRange(1),
+    type=click.IntRange(1, 1024),
     help="Processes on this machine that share the work. Their number does not change the result.  "
     "[one for each core where skills evolve in episodes of a Gymnasium environment, else 1]",
 )
@@ -213,6 +213,7 @@ def command(context: click.Context, /, **options: Any) -> None:
     settings = {*NAMES, *of_domain} & set(options) - {"actions", "domain", "driver"}
     wanted = {name: options[name] for name in given & settings}
     aims = {f.name: options[f.name] for f in fields(Goal) if f.name in given}
+    Goal(**aims)  # which checks them
     overrides = _overrides(context, {*NAMES, *of_domain}, options["override"])
     how = {name: options[name] for name in ("stage", "device", "checkpoint_seconds")}
     budget = _budget(options["budget"])
@@ -280,7 +281,7 @@ def _overrides(context: click.Context, known: set[str], words: Sequence[str]) ->
     return found
 
 
-main = partial(common.run_command, command)
+main = partial(common.run_program, command)
 
 if __name__ == "__main__":
     main()

@@ -202,7 +202,7 @@ def _offer(
     return chosen, {n: Candidate(s, domain) for n, s in skills.items()}
 
 
-main = partial(common.run_command, command)
+main = partial(common.run_program, command)
 
 if __name__ == "__main__":
     main()

@@ -26,6 +26,7 @@ from cgtorch.domains.gymnasium_film import MODE
 from cgtorch.domains.gymnasium_limits import bounds_of_percepts
 from cgtorch.domains.gymnasium_models import GymnasiumModels
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.domains.gymnasium_spaces import UNFIT
 from cgtorch.domains.gymnasium_world import (
     GymnasiumWorld,
     PlayedWorld,
@@ -94,7 +95,7 @@ class EpisodePictures(Pictures["Gymnasium"]):
         """See `Pictures.remarks`."""
         found, left_out = self.domain.known.remark, self.domain.episodes.percepts.left_out
         unasked = left_out and not self.domain.settings.percepts
-        lacks = f"Percepts lack {', '.join(left_out)}, which has no fixed numbers."
+        lacks = f"Percepts lack {', '.join(left_out)}, which has {UNFIT}."
         copies, why = self.domain.episodes.most, self.domain.episodes.lacking
         few = f"Only {copies} at once of the environment could be made, which is slow: {why}"
         told = (found, found), (unasked, lacks), (why, few)

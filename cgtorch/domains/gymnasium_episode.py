@@ -4,7 +4,6 @@ Environments are the user's own code, so here is where their errors and their nu
 """
 
 import math
-import os
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgtorch.domains.gymnasium_spaces import Percepts
+from cgtorch.domains.surroundings import check_defaults, surroundings
 from cgtorch.ground.dry_run import failed_at, kind, reason
 from cgtorch.ground.errors import CgtorchError, WorldError
 
@@ -26,32 +26,6 @@ FORMS = {
     "step": (5, "(observation, reward, terminated, truncated, info)"),
 }
 """What methods return: the number of parts, and their names."""
-
-
-class _Folder:
-    """The working folder of environments, which some of them change; that of this process stays."""
-
-    own = ""
-
-    def call(self, code: Callable[[], Any]) -> Any:
-        """The result of foreign code, called where it was when it was last called."""
-        try:
-            here = os.getcwd()
-        except FileNotFoundError:  # it was deleted
-            return code()
-        if self.own:
-            os.chdir(self.own)
-        try:
-            return code()
-        finally:
-            self.own = os.getcwd()
-            if self.own == here:
-                self.own = ""
-            else:
-                os.chdir(here)
-
-
-in_its_folder = _Folder().call
 
 
 @dataclass
@@ -74,6 +48,7 @@ class Episode:
         """Start again; returns the first observation. WorldError as for `play`."""
         self.actions, self.keys = [], []
         seen, _ = self._asked("reset", lambda: self.environment.reset(seed=self.seed))
+        check_defaults(self.where)
         self.keys.append(self.seed % KEYS)
         return seen
 
@@ -94,6 +69,10 @@ class Episode:
             raise WorldError(
                 f"{self.where} gave reward, terminated and truncated as {said}; Gymnasium expects "
                 "a number, and true or false twice; a wrapper can make that (wrappers, --wrappers)"
+            ) from None
+        except OverflowError:
+            raise WorldError(
+                f"{self.where} gave a reward too large for a float; give finite rewards"
             ) from None
         if not math.isfinite(reward):
             raise WorldError(f"{self.where} gave reward {reward}; give finite rewards")
@@ -119,7 +98,7 @@ class Episode:
     def _asked(self, method: str, call: Callable[[], Any]) -> tuple[Any, ...]:
         """What a method returns, its first part as numbers; WorldError if it has another form."""
         try:
-            found = in_its_folder(call)
+            found = surroundings.call(call)
         except (CgtorchError, KeyboardInterrupt):
             raise
         except BaseException as e:  # SystemExit, too, as it would end the program without a word

@@ -6,12 +6,11 @@ continues from an earlier step is played again up to there, and so is one whose 
 given to another episode.
 """
 
-import atexit
 import os
-import threading
+import time
 import weakref
 from collections.abc import Callable
-from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from typing import Any
@@ -19,19 +18,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgtorch.domains.gymnasium_episode import Episode, in_its_folder
+from cgtorch.domains.gymnasium_episode import Episode
 from cgtorch.domains.gymnasium_film import Filmed
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of, tried
 from cgtorch.domains.registry import NOT_FOUND, foreign
-from cgtorch.ground.dry_run import check_default_type, failed_at, reason
+from cgtorch.domains.surroundings import check_defaults, surroundings
+from cgtorch.ground.dry_run import failed_at, reason
+from cgtorch.ground.ending import PATIENCE, at_end
 from cgtorch.ground.errors import CgtorchError, DomainError, WorldError
 from cgtorch.native.processes import counted
 
 MOST = 64
 """Number of environments at once; see docs/decisions/interface.md."""
-_AT_END = getattr(threading, "_register_atexit", atexit.register)
-"""Has a function called at the end, before threads that an environment has started are joined."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class Episodes:
         self._wrappers = [_wrapper(spec) for spec in settings.wrappers]
         self.most, self.lacking = MOST, ""
         self._open = list[tuple[int, Any]]()
-        _AT_END(weakref.finalize(self, _close, self._open))
+        at_end(weakref.finalize(self, _close, self._open))
         self._process, self._parents = os.getpid(), dict[int, Any]()
         first, self._limit, self.threshold = self._made()
         self._having = {0: first}  # the environments of episodes, the last one used last
@@ -137,7 +136,7 @@ class Episodes:
                 seen, reward, over, info = self._played[0].play(actions.sample())
                 percepts.append(seen)
                 rewards.append(reward)
-                infos.update(info)
+                infos.update(key for key in info if isinstance(key, str))
                 if over:
                     ended = True
                     break
@@ -182,8 +181,9 @@ class Episodes:
         from gymnasium.wrappers import OrderEnforcing, TimeLimit
 
         name, keywords = self._settings.environment, self._settings.keywords
+        surroundings.begin()
         try:
-            made: Any = in_its_folder(
+            made: Any = surroundings.call(
                 lambda: gymnasium.make(name, disable_env_checker=True, **keywords)
             )
         except CgtorchError:
@@ -198,7 +198,7 @@ class Episodes:
         for spec, wrap in zip(self._settings.wrappers, self._wrappers, strict=True):
             made = _wrapped(spec, wrap, made)
         self._open.append((os.getpid(), made))
-        check_default_type(f"environment {name!r}")
+        check_defaults(f"environment {name!r}")
         return made, float("inf") if self._wrappers else limit, threshold
 
 
@@ -213,23 +213,31 @@ def _refusal(name: str, error: Exception, forked: bool) -> DomainError:
     if isinstance(error, TypeError) and " argument" in str(error):
         advice = "does it have these keywords, or need others (--env NAME=VALUE)?"
     if forked:
-        advice += " If only one may exist, use one process (--processes 1)."
+        advice += ", or use one process if only few may exist at once (--processes 1)"
     return DomainError(
         f"Gymnasium cannot make environment {name!r} ({reason(error)}){place}; {advice}"
     )
 
 
 def _close(environments: list[tuple[int, Any]]) -> None:
-    """Close environments that this process has made, whose own errors no longer matter."""
+    """Close environments that this process has made, whose own errors no longer matter.
+
+    Those that are left when it has taken too long, or when somebody interrupts it, stay open.
+    """
+    until = time.monotonic() + PATIENCE
     for process, environment in environments:
-        if process == os.getpid():
-            with suppress(Exception):
+        if process == os.getpid() and time.monotonic() < until:
+            try:
                 environment.close()
+            except KeyboardInterrupt:
+                break
+            except BaseException:  # noqa: S112  SystemExit, too
+                continue
     environments.clear()
 
 
 def _space(environment: Any, name: str) -> Any:
-    """A space of an environment; DomainError if it is none of Gymnasium's."""
+    """A copy of a space, as environments may change it; DomainError for another thing."""
     from gymnasium import Space
 
     space = getattr(environment, name, None)
@@ -238,7 +246,7 @@ def _space(environment: Any, name: str) -> Any:
             f"environment {environment!s:.60} has {name} {space!r:.60}; set one of Gymnasium's "
             "spaces in its constructor"
         )
-    return space
+    return deepcopy(space)
 
 
 def _wrapper(spec: str) -> Callable[[Any], Any]:

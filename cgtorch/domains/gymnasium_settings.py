@@ -104,6 +104,7 @@ class GymnasiumSettings(DomainSettings):
         "Number of units in the hidden layer of the network Aim.",
         OF_THE_RUN,
         when="Raise it if a task needs a policy that bends more.",
+        most=10_000,
         before=8,
     )
 

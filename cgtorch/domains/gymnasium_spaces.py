@@ -15,6 +15,7 @@ from cgtorch.ground.fields import Field
 
 LISTED = 12  # names in an error
 FAR = 1e30  # beyond which a bound is none
+MANY = 200_000  # numbers of a part, beyond which networks and episodes would not fit into memory
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,9 @@ class Part:
         for key in self.keys:
             value = value[key]
         return value
+
+
+UNFIT = f"no fixed numbers, or more than {MANY:,}"
 
 
 def parts_of(space: Any, whole: str, name: str = "", keys: tuple[Any, ...] = ()) -> list[Part]:
@@ -62,11 +66,23 @@ def _starts(space: Any) -> NDArray[Any]:
     return starts
 
 
+def _size(space: Any) -> int:
+    """How many numbers Gymnasium flattens a space to; 0 if it is no numbers."""
+    from gymnasium.spaces import flatdim
+
+    try:
+        return int(flatdim(space))
+    except (NotImplementedError, ValueError):
+        return 0
+
+
 def _numbers(part: Part) -> list[str] | None:
-    """The names of the numbers of a part, as Gymnasium flattens it; None if it is no numbers."""
+    """The names of the numbers of a part, as Gymnasium flattens it; None for none or too many."""
     from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete
 
     space, name = part.space, part.name
+    if _size(space) > MANY:
+        return None
     if isinstance(space, Box | MultiBinary):
         return [f"{name}{place}" for place in _places(tuple(space.shape))]
     if isinstance(space, Discrete):
@@ -143,8 +159,8 @@ def percepts_of(space: Any, patterns: Sequence[str], environment: str) -> Percep
     columns = sorted(taken) if patterns else list(range(len(names)))
     if not columns:
         raise DomainError(
-            f"environment {environment!r} has observations {space!s:.200}; a percept is at least "
-            "one number"
+            f"environment {environment!r} has observations {space!s:.200}, and these have "
+            f"{UNFIT}; wrap it (--wrappers)"
         )
     return Percepts(
         fields=tuple(Field(names[i][1]) for i in columns),
@@ -164,7 +180,7 @@ def _no_percepts(pattern: str, environment: str, parts: list[Part], left_out: Se
         if part.name in left_out and _matches(pattern, part.name):
             return (
                 f"percepts {pattern!r:.60}: {part.name} of environment {environment!r} is "
-                f"{part.space!s:.80}, which has no fixed numbers; leave it out"
+                f"{part.space!s:.80}, which has {UNFIT}; leave it out"
             )
     names = [part.name for part in parts if part.name not in left_out]
     shown = ", ".join(names[:LISTED]) + (", …" if len(names) > LISTED else "")
@@ -228,6 +244,11 @@ def _decoded(part: Part, environment: str) -> tuple[list[Field], Decoder]:
     from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete
 
     space, name = part.space, part.name
+    if _size(space) > MANY:
+        raise DomainError(
+            f"environment {environment!r} has {name} in {space!s:.80}, which is more than {MANY:,} "
+            "numbers; wrap it (--wrappers)"
+        )
     if isinstance(space, Discrete):
         start = int(space.start)
         names = [f"for {name} {i + 1}" for i in range(int(space.n))]

@@ -237,7 +237,8 @@ class VectorSteps:
         import gymnasium
 
         environment = environment.rpartition(":")[2]  # whose module is imported by now
-        if gymnasium.spec(environment).vector_entry_point is None:
+        known = gymnasium.registry.get(environment)  # none for a name without its version
+        if known is None or known.vector_entry_point is None:
             raise LookupError(f"{environment} has no vectorised environment of its own")
         self._id, self._made = environment, dict[int, Any]()
         first = self._of_size(1)

@@ -100,7 +100,7 @@ def strict_json(text: str) -> Any:
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
     """A folder that appears under its name, or where that leads, with all its files, or not."""
-    path = path.resolve() if path.is_symlink() else path
+    path = Path(os.path.realpath(path)) if path.is_symlink() else path
     partial_path = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         with writing(path):

@@ -20,7 +20,7 @@ from cgtorch.improvement import events
 from cgtorch.native.processes import listening
 from cgtorch.report.messages import as_time, few_solved, message_of, place_of, stage_number
 
-SILENCE = 29.0  # s without a line after which one tells what goes on
+SILENCE = 25.0  # s without a line after which one tells what goes on
 OFTEN = 25.0  # s at least between two lines on the same work where there is no terminal
 MEMORY = 0.9  # weight of the past in smoothed numbers
 LOOKED = 1.0  # s between two looks at whether it is silent
@@ -120,8 +120,8 @@ class ProgressDisplay:
         self._tried = self._solved = 0
         self._has_models, self._told = False, time.monotonic()
         self._working: list[tuple[str, float, Spinner]] = []
-        # Of counted work: when it began, when a line last told of it, and how far it is.
-        self._counts: dict[str, tuple[float, float, str]] = {}
+        # Of counted work: when it began, when a line last told of it, and how much is done of what.
+        self._counts: dict[str, tuple[float, float, int, int]] = {}
 
     def __enter__(self) -> Self:
         """Begin; elapsed time counts from here."""
@@ -158,7 +158,7 @@ class ProgressDisplay:
         if not self._working and self._generation is not None:
             done = self._generation.generation.number + 1
             parts.append(f"{self._generation.candidate}, generation {done}")
-        parts += [f"{what}: {text}" for what, (_, _, text) in list(self._counts.items())]
+        parts += self._counted()
         parts.append(f"{as_time(time.monotonic() - self._began)} elapsed")
         return ", ".join(parts)
 
@@ -230,13 +230,17 @@ class ProgressDisplay:
     def counted(self, what: str, done: int, total: int) -> None:
         """Show how much is done of long work, until all is; see `cgtorch.native.processes`."""
         now = time.monotonic()
-        began, told, _ = self._counts.pop(what, (now, now, None)) if done else (now, now, None)
+        began, told, *_ = self._counts.pop(what, (now, now)) if done else (now, now)
         if done < total:
-            text = count_text(done, total, now - began)
             if now - told >= OFTEN:
-                self._plain(f"{what}: {text}")
+                self._plain(f"{what}: {count_text(done, total, now - began)}")
                 told = now
-            self._counts[what] = began, told, text
+            self._counts[what] = began, told, done, total
+
+    def _counted(self) -> list[str]:
+        """How far counted work is by now, which is slower the longer nothing more is done."""
+        now, counts = time.monotonic(), list(self._counts.items())
+        return [f"{what}: {count_text(d, n, now - began)}" for what, (began, _, d, n) in counts]
 
     def say(self, line: str, style: str = "") -> None:
         """Print a line that stays, unless quiet."""
@@ -271,8 +275,7 @@ class ProgressDisplay:
         for message, began, spinner in list(self._working):
             frame = cast(Text, spinner.render(now))
             lines.append(_line(frame, f" {message} … {as_time(now - began)}"))
-        for what, (_, _, done) in list(self._counts.items()):
-            lines.append(_line((f"  {what}: {done}", "dim")))
+        lines += [_line((f"  {text}", "dim")) for text in self._counted()]
         return Group(*lines)
 
 

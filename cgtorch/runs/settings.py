@@ -1,6 +1,5 @@
 """The settings that every run has, which of them may change, and the goal of rounds."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -11,6 +10,7 @@ from cgtorch.ground.errors import SettingsError
 METHODS = ("compose", "paper")
 CHANCE = ("auto", "yes", "no")
 MODELS = ("auto", "learned", "none")
+HUGE = 1e38  # as a mean return, which is beyond what single precision holds
 SCENARIOS = "The kind of scenarios, or auto for the domain's usual kind."
 
 
@@ -198,8 +198,8 @@ class Goal:
         "With --stage auto: the share of fresh scenarios to solve, above 0. In a domain with "
         "rewards: the mean return to reach, by default the return from which an episode counts as "
         "solved (target_return).",
-        least=-math.inf,
-        most=math.inf,
+        least=-HUGE,
+        most=HUGE,
         when="Raise it for a surer skill; the tests become longer.",
     )
     minutes: float = option(

@@ -15,6 +15,7 @@ The folder contains:
 """
 
 import itertools
+import os
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -191,7 +192,7 @@ def planned_run(
     run = _checked(folder, settings, domain, settings.driver)
     if not anew and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise RunError(f"{str(folder)!r} is not empty and holds no run; choose another folder")
-    if folder.resolve() == Path.cwd():
+    if Path(os.path.realpath(folder)) == Path.cwd():  # `resolve` fails for a loop of links
         raise RunError("a run cannot replace the current folder; choose another, such as runs/one")
     return run
 

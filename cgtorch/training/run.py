@@ -24,7 +24,7 @@ from cgtorch.ground.files import write_bytes
 from cgtorch.report import ProgressDisplay
 from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import read_log
-from cgtorch.runs.settings import RunSettings, defaults_of
+from cgtorch.runs.settings import Goal, RunSettings, defaults_of
 from cgtorch.runs.stored_run import SKILL, StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
 from cgtorch.training.explained import background_of, explained
@@ -168,6 +168,8 @@ def train(
     returns = "target_return" in {f.name for f in fields(kind)} and (
         not settings.get("success") if made is None else rewarded(made)
     )
+    if target is not None:
+        Goal(target=target)  # which checks it
     aim = {"target_return" if returns else "target": target}
     request, rest = TrainingRequest.taken_from({"stage": stage, **aim, **settings})
     own = {f.name: rest.pop(f.name) for f in fields(kind) if f.name in rest}

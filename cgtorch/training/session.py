@@ -239,7 +239,7 @@ def _asked(run: StoredRun, request: TrainingRequest) -> tuple[str, Goal]:
     if request.stage is None and isinstance(before.get("goal"), dict):
         try:
             goal = _goal(run, {**before["goal"], **request.goal})
-        except TypeError as e:
+        except (TypeError, SettingsError) as e:
             raise SettingsError(f"the goal of run {str(run.folder)!r} is damaged ({e})") from e
     remember_goal(run, {"stage": stage, **({"goal": asdict(goal)} if stage == AUTO else {})})
     return stage, goal

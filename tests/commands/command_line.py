@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from cgtorch.commands.common import run_command
 from cgtorch.domains.settings import to_plain
 from cgtorch.runs.settings import RunSettings
 
@@ -56,7 +57,7 @@ class Shell:
         code = 0
         try:
             module = name.removeprefix("cgtorch-").replace("cgtorch", "main")
-            import_module(f"cgtorch.commands.{module}").main()
+            run_command(import_module(f"cgtorch.commands.{module}").command)
         except SystemExit as e:
             code = int(e.code or 0)
         return Ended(code, *self.capsys.readouterr())

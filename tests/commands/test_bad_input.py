@@ -42,6 +42,9 @@ PR2 = robots_folder() / "pr2"
             "target is 1, which is no share of scenarios",
         ),
         (["--stage", "auto", "--target", "nan"], "target is nan"),
+        (["--domain", "gymnasium:CartPole-v1", "--target", "1e400"], "target is inf; give a num"),
+        (["--processes", "9" * 30], "'--processes': 9999"),
+        (["--checkpoint-seconds", "nan"], "'--checkpoint-seconds': nan is no number"),
         (["--stage", "auto", "--minutes", "-1"], "minutes is -1.0; give a number from 0 to"),
         (["--stage", "auto", "--rounds", "0"], "rounds is 0; give a whole number of at least 1"),
         (["--target", "0.9"], "target, minutes and rounds are for stage 'auto' (--stage auto);"),
@@ -160,6 +163,12 @@ def skill_file(folder: Path, change: str) -> Path:
     path = folder.parent / "skill.json"
     path.write_text(json.dumps(data))
     return path
+
+
+def test_a_folder_that_is_a_loop_of_links(shell: Shell, tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    said = shell.refuses(TRAIN, "--domain", "gymnasium:CartPole-v1", "--run-dir", tmp_path / "loop")
+    assert "loop" in said
 
 
 def test_a_skill_file_with_a_missing_edge(shell: Shell, run_folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import zipfile
 from pathlib import Path
 
@@ -55,6 +56,13 @@ def test_every_format(shell: Shell, tmp_path: Path, form: str) -> None:
             assert len(nx.parse_graphml(data.decode())) == data.count(b"<node ") > 5
         case "mermaid":
             assert data.startswith(b"flowchart TD\n")
+
+
+def test_a_device_or_a_pipe_is_not_replaced(shell: Shell, tmp_path: Path) -> None:
+    os.mkfifo(pipe := tmp_path / "pipe")
+    words = EXPORT, REFERENCE, "--format", "json", "--output", pipe, "--force"
+    assert "is a device or a pipe; choose another --output" in shell.refuses(*words)
+    assert pipe.is_fifo()
 
 
 @pytest.mark.hostile

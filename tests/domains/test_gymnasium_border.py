@@ -439,3 +439,25 @@ def test_what_came_before_may_make_a_little_difference() -> None:
     """Box2D solves contacts in an order that depends on what it has simulated before."""
     pytest.importorskip("Box2D")
     assert check_domain(Gymnasium(GymnasiumSettings("BipedalWalkerHardcore-v3")), "starts")
+
+
+def test_spaces_that_an_environment_changes_later_stay_as_they_were(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    domain = domain_of(monkeypatch, {})
+    own = domain.episodes._environment(0).unwrapped
+    for space in (own.action_space, own.observation_space):
+        monkeypatch.setattr(space, "low", space.high)
+    assert domain.episodes.controls.actions(np.full((1, 1), -0.5)).tolist() == [[-0.5]]
+
+
+def test_names_in_an_info_that_are_no_texts_tell_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    changes: dict[str, Change] = {"info": lambda line: {3: 1, None: 2, "good": True}}
+    assert domain_of(monkeypatch, changes).episodes.explored(1, 1).infos == ("good",)
+
+
+def test_a_reward_beyond_a_float_is_told_where(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(
+        WorldError, match=r"in step 1 after reset\(seed=0\) gave a reward too large"
+    ):
+        domain_of(monkeypatch, {"reward": lambda line: 10**400})

@@ -2,6 +2,7 @@
 
 import gc
 import json
+import os
 import pickle
 import re
 import subprocess
@@ -16,7 +17,9 @@ from support import seeded
 
 from cgtorch.domains.domain import most_lanes
 from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium_episodes import _close
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.domains.gymnasium_world import VectorSteps
 from cgtorch.domains.registry import full_name, is_code, make_domain, spec_of, with_name
 from cgtorch.domains.settings import from_plain, to_plain
 from cgtorch.ground.environment import start_lanes
@@ -132,6 +135,22 @@ domain = make_domain(name, kind(name)())
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parent, timeout=60)
 
 
+@pytest.mark.parametrize(
+    ("raised", "closed"), [(SystemExit(5), 2), (KeyboardInterrupt(), 1), (OSError(), 2)]
+)
+def test_what_closing_raises_ends_nothing_else(raised: BaseException, closed: int) -> None:
+    """Only a user who interrupts it ends all closing."""
+    calls = list[int]()
+
+    class Loud:
+        def close(self) -> None:
+            calls.append(1)
+            raise raised
+
+    _close([(os.getpid(), Loud()), (os.getpid(), Loud())])
+    assert len(calls) == closed
+
+
 def test_values_are_json_or_python_or_texts() -> None:
     given = {
         "a": 1, "b": True, "c": None, "d": [1, 2.5], "e": {"x": (1, 2)}, "f": "4x4", "g": "1",
@@ -242,3 +261,8 @@ def test_a_run_of_before_these_settings_is_read(tmp_path: Path) -> None:
     del known["remark"]
     stored.write_text(json.dumps(known))
     assert read_run(tmp_path / "run").domain.settings == GymnasiumSettings("Acrobot-v1")
+
+
+def test_a_name_without_its_version_has_no_vectorised_environment() -> None:
+    with pytest.raises(LookupError, match=r"^CartPole has no vectorised environment"):
+        VectorSteps("CartPole")

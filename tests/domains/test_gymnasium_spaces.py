@@ -130,19 +130,20 @@ def test_chosen_percepts_are_those_of_all(name: str) -> None:
 def test_what_has_no_numbers_is_left_out_and_told() -> None:
     domain = domain_of(GOAL)
     assert len(domain.percept) == 6
-    assert remarks_of(domain) == ["Percepts lack mission, which has no fixed numbers."]
+    lacks = "Percepts lack mission, which has no fixed numbers, or more than 200,000."
+    assert remarks_of(domain) == [lacks]
     assert ("Remark", remarks_of(domain)[0]) in domain.pictures(domain).about()
 
 
 def test_a_box_without_numbers_is_no_percept() -> None:
-    with pytest.raises(DomainError, match=r"observations Box\(.*\(0,\).*; a percept is at least"):
+    with pytest.raises(DomainError, match=r"observations Box\(.*\(0,\).*, and these have no fixed"):
         percepts_of(spaces.Box(-1, 1, (0,)), (), "Empty-v0")
 
 
 @pytest.mark.parametrize(
     ("name", "percepts", "message"),
     [
-        (MUTE, (), "has observations Text.*; a percept is at least one number"),
+        (MUTE, (), "has observations Text.*, and these have no fixed numbers"),
         (TALK, (), r"has word in Text.*; only numbers and choices can be controls"),
         (GOAL, ("mission",), r"percepts 'mission': mission of environment .* is Text\(.*leave it"),
         (GOAL, ("gaol",), "percepts 'gaol' matches nothing .* it has observation, achieved"),
@@ -240,3 +241,13 @@ def test_a_few_parts_are_listed_where_a_pattern_matches_none(count: int, more: s
     with pytest.raises(DomainError) as caught:
         percepts_of(spaces.Dict(parts), ("nose",), "Long-v0")
     assert str(caught.value).endswith(f"'Long-v0' shows; it has {listed}{more}")
+
+
+def test_what_has_far_too_many_numbers_is_left_out_and_no_action() -> None:
+    huge, few = spaces.Discrete(2**40), spaces.Box(-1, 1, (2,))
+    percepts = percepts_of(spaces.Dict(huge=huge, few=few), (), "Huge-v0")
+    assert (len(percepts.fields), percepts.left_out) == (2, ("huge",))
+    with pytest.raises(DomainError, match=r"observations Discrete\(.*more than 200,000; wrap it"):
+        percepts_of(huge, (), "Huge-v0")
+    with pytest.raises(DomainError, match=r"action in Discrete\(.*more than 200,000 numbers; wrap"):
+        controls_of(huge, "Huge-v0")

@@ -170,6 +170,17 @@ def test_work_is_heard_of_where_there_is_no_terminal(
     ]
 
 
+def test_work_that_does_not_go_on_is_told_to_be_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    display = ProgressDisplay(console(False))
+    display.counted("episodes", 0, 20)
+    clock[0] += 0.1
+    display.counted("episodes", 10, 20)
+    clock[0] += 99.9
+    assert display._present().startswith("episodes: 10 of 20, 0.1/s, left 1:40, ")
+
+
 def test_without_a_terminal_there_is_a_line_wherever_nothing_is_said(
     monkeypatch: pytest.MonkeyPatch, events: list[Event]
 ) -> None:

@@ -53,20 +53,26 @@ def completed(root: Any, where: str) -> None:
         colour.getparent().remove(colour)
 
 
-def bounded(root: Any) -> None:
+def bounded(root: Any) -> list[str]:
     """Take out limits that are infinite, in place: they are none.
 
-    A joint that turns, and both of whose ends are infinite, is continuous.
+    A joint that turns, and both of whose ends are infinite or not given, is continuous. Returns the
+    names of those that have no end given.
     """
+    unlimited = []
     for joint in root.findall("joint"):
         for limit in joint.findall("limit"):
             none = {name for name, text in limit.attrib.items() if _is_infinite(text)}
-            if joint.get("type") == "revolute" and none.issuperset(ENDS):
+            given = none.symmetric_difference(limit.attrib)
+            if joint.get("type") == "revolute" and given.isdisjoint(ENDS):
                 joint.set("type", "continuous")
+                if not none.intersection(ENDS):
+                    unlimited.append(str(joint.get("name")))
             if joint.get("type") in LIMITED:
                 none -= set(ENDS)
             for name in none:
                 del limit.attrib[name]
+    return unlimited
 
 
 def _is_infinite(text: str) -> bool:

@@ -242,10 +242,14 @@ def _spelt(path: Path) -> Path | None:
 
 
 def _own_package(urdf: Path) -> list[Path]:
-    """The nearest folder around a URDF that has a package.xml, or the one around a folder urdf."""
+    """The nearest folder around a URDF that has a package.xml, else its own folder.
+
+    The folder around a folder urdf comes before that.
+    """
     around = _around(urdf)
     packages = [folder for folder in around if isfile(folder / "package.xml")]
-    return packages[:1] or [folder.parent for folder in around[:1] if folder.name == _FOLDER]
+    nearest = [folder.parent for folder in around[:1] if folder.name == _FOLDER]
+    return packages[:1] or [*nearest, *around[:1]]
 
 
 def _packages(package: str, urdf: Path, places: Sequence[Path]) -> Iterator[Path]:

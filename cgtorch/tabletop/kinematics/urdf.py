@@ -122,7 +122,8 @@ def load_urdf(path: Path | str) -> Urdf:
 def read_urdf(path: Path, notes: list[str] | None = None) -> Any:
     """The elements of a valid URDF, whose inertias are not checked.
 
-    With notes, limits whose lower one is above the upper one are turned round, which is noted.
+    With notes, limits whose lower one is above the upper one are turned round, which is noted, and
+    so is a joint that turns without end as its limit has no ends.
     """
     where = f"URDF {str(path)!r}"
     data = read_bytes(path, MAX_BYTES, RobotError)
@@ -132,7 +133,11 @@ def read_urdf(path: Path, notes: list[str] | None = None) -> Any:
     unfilled = root.find("link") is None or b"${" in data
     if unfilled and any(str(element.tag).startswith(XACRO) for element in root.iter()):
         raise RobotError(f"{where} is a xacro file: make a URDF of it by `xacro FILE > robot.urdf`")
-    bounded(root)
+    unlimited = bounded(root)
+    if notes is not None:
+        notes.extend(
+            f"joint {each!r} has no limits and is taken for continuous" for each in unlimited
+        )
     _check_numbers(root, where)
     _check_tree(root, where)
     completed(root, where)

@@ -11,7 +11,7 @@ from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, at_rest, checked_urdf
-from cgtorch.tabletop.robot_folder.chains import slides_upright
+from cgtorch.tabletop.robot_folder.chains import lowest, slides_upright
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 FLOOR_LINK, STAND_LINK = "base_footprint", "stand"
@@ -57,19 +57,13 @@ def _height(structure: Structure, chains: list[list[Any]], notes: list[str]) -> 
         every = structure.hanging(structure.base)
         moved = {link for chain in chains for link in structure.hanging(chain[0].child)}
         begin = min((float(structure.pose(c[0].parent)[2, 3]) for c in chains), default=math.inf)
-        ground = _lowest(structure, [link for link in every if link not in moved])
-        if begin < ground - OFF_FLOOR and math.isfinite(whole := _lowest(structure, every)):
+        ground = lowest(structure, [link for link in every if link not in moved])
+        if begin < ground - OFF_FLOOR and math.isfinite(whole := lowest(structure, every)):
             ground = min(whole, begin)
     if math.isfinite(ground):
         return -ground if abs(ground) > OFF_FLOOR else 0.0
     notes.append(f"nothing collides, so that {structure.base!r} is taken to be on the floor")
     return 0.0
-
-
-def _lowest(structure: Structure, links: Sequence[str]) -> float:
-    """The height of the lowest point of the shapes of links, m."""
-    points = [np.empty((0, 3)), *(structure.points(link) for link in links)]
-    return float(np.concatenate(points)[:, 2].min(initial=math.inf))
 
 
 def rest_positions(urdf: Urdf, others: Sequence[str] = ()) -> dict[str, float]:

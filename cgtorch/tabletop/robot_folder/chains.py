@@ -14,18 +14,20 @@ from typing import Any
 import numpy as np
 
 from cgtorch.tabletop.robot_folder.fingers import NAMED, depth_of, extent, is_finger, is_jaw
-from cgtorch.tabletop.robot_folder.structure import Structure
+from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 LEAST_JOINTS = 5  # of an arm, after the torso
 FEW_JOINTS = 4  # of an arm, where no chain with more is one
 FEWEST = 2  # joints of a chain after a body that make this body a torso
 HAND_JOINTS = 3  # before fingers of one joint; these are no arm, and neither is a finger after them
 CLAW = 0.2  # of the length of an arm, that of claws of one joint beside each other at most
+PAIR = 0.5  # of it, that of such claws at most if one follows another
 TOLD = 3  # joints of a chain that is no arm from which it is told
 ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
 LEAST_FINGERS = 3  # of a hand that no arm carries
 DOWN = 0.5  # of the reach of a leg, how far below its begin the floor is
 NEAR = 0.5  # of the farthest reach of a chain, that of one that is no arm
+PARALLEL = 0.999  # cosine of the axes of rods
 UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
 
 ARM, LEG, HEAD, SHORT, CLOSE, BRANCH, FINGER = (
@@ -116,8 +118,7 @@ def told(chains: Sequence[Chain]) -> str:
 
 def slides_upright(structure: Structure, joint: Any) -> bool:
     """Whether a joint moves what it carries up and down."""
-    axis = structure.pose(joint.child)[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
-    return joint.type == "prismatic" and abs(float(axis[2])) > UPRIGHT
+    return joint.type == "prismatic" and abs(float(_axis(structure, joint)[2])) > UPRIGHT
 
 
 def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
@@ -130,7 +131,8 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
         path, far = structure.path(link), 0.0
         least = FEW_JOINTS if len(moved) > FEWEST else LEAST_JOINTS
         if all(depth_of(structure, joint) <= 1 for joint in moved):
-            least, far = HAND_JOINTS, CLAW * _length(structure, path)
+            share = PAIR if _follow(moved) else CLAW
+            least, far = HAND_JOINTS, share * _length(structure, path)
         hand = len(path) >= least
         fingers = [joint for joint in moved if hand and is_finger(structure, joint, far)]
     further = [joint for joint in moved if joint not in fingers]
@@ -138,6 +140,12 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
         yield link, bool(fingers)
     for joint in further:
         yield from _ends(structure, joint.child)
+
+
+def _follow(joints: list[Any]) -> bool:
+    """Whether one of joints follows another of them."""
+    names = {joint.name for joint in joints}
+    return any(joint.mimic is not None and joint.mimic.joint in names for joint in joints)
 
 
 def _hand_alone(structure: Structure, found: list[Chain]) -> set[str]:
@@ -168,13 +176,30 @@ def _shared(structure: Structure, path: list[Any], paths: list[list[Any]]) -> in
         same = both.index(False) if False in both else len(both)
         rest, others = len(path) - same, len(other) - same
         torso = max(rest, others) >= LEAST_JOINTS or min(rest, others) > FEWEST
-        if other is not path and others >= FEWEST and torso:
-            count = max(count, same)
+        if other is not path and others >= FEWEST and torso and same > count:
+            count = count if _rods(structure, path[same:], other[same:]) else same
     for i, joint in enumerate(path):
         alone = i >= count and slides_upright(structure, joint)
         if alone and _freedom(structure, path[i + 1 :]) >= FEW_JOINTS + 1:
             count = i + 1
     return count
+
+
+def _rods(structure: Structure, joints: list[Any], other: list[Any]) -> bool:
+    """Whether other joints are those of the rods of a linkage, which move in a plane only."""
+    return _in_plane(structure, other) and not _in_plane(structure, joints)
+
+
+def _in_plane(structure: Structure, joints: list[Any]) -> bool:
+    """Whether joints move a thing in a plane only."""
+    axes = np.array([_axis(structure, joint) for joint in joints]).reshape(-1, 3)
+    turn = all(joint.type != "prismatic" for joint in joints)
+    return turn and bool((abs(axes @ axes[:1].T) > PARALLEL).all())
+
+
+def _axis(structure: Structure, joint: Any) -> Array:
+    """(3,) a joint's axis in the base frame."""
+    return structure.pose(joint.child)[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
 
 
 def _freedom(structure: Structure, joints: list[Any]) -> int:
@@ -184,10 +209,8 @@ def _freedom(structure: Structure, joints: list[Any]) -> int:
     model.update_cfg({joint.name: _within(joint, float(rng.uniform())) for joint in joints})
     twists = []
     for joint in joints:
-        pose = structure.pose(joint.child)
-        axis = pose[:3, :3] @ np.asarray(joint.axis, dtype=np.float64)
-        slides = joint.type == "prismatic"
-        linear = axis if slides else np.cross(pose[:3, 3], axis)
+        axis, slides = _axis(structure, joint), joint.type == "prismatic"
+        linear = axis if slides else np.cross(structure.pose(joint.child)[:3, 3], axis)
         twists.append([*linear, *(np.zeros(3) if slides else axis)])
     model.update_cfg(before)
     return int(np.linalg.matrix_rank(np.array(twists), tol=1e-6))
@@ -221,7 +244,7 @@ def _legs(structure: Structure, long: list[Chain], every: list[Chain]) -> set[st
     from a torso that does not stand.
     """
     floor = _floor(structure)
-    if _lowest(structure, structure.rigid(structure.base)) <= floor:
+    if lowest(structure, structure.rigid(structure.base)) <= floor:
         return set()
     stand = [chain for chain in long if _stands(structure, chain, floor)]
     held = any(chain.fingers and chain not in stand for chain in every)
@@ -260,17 +283,17 @@ def _from_base(long: list[Chain]) -> set[str]:
 
 def _floor(structure: Structure) -> float:
     """The height below which something stands on the floor, m."""
-    return ON_FLOOR + _lowest(structure, structure.hanging(structure.base))
+    return ON_FLOOR + lowest(structure, structure.hanging(structure.base))
 
 
 def _stands(structure: Structure, chain: Chain, floor: float) -> bool:
     """Whether a chain leads down to the floor."""
     first = chain.own[0].child
-    low = _lowest(structure, structure.hanging(first))
+    low = lowest(structure, structure.hanging(first))
     drop = float(structure.pose(first)[2, 3]) - low
     return low <= floor and drop >= DOWN * _reach(structure, chain)
 
 
-def _lowest(structure: Structure, links: list[str]) -> float:
-    """The height of the lowest point of links, m."""
+def lowest(structure: Structure, links: list[str]) -> float:
+    """The height of the lowest point of links, or of what is seen of those without shapes, m."""
     return float(structure.seen(links)[:, 2].min(initial=math.inf))

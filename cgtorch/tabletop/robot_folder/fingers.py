@@ -16,7 +16,7 @@ OPEN = 0.8  # rad by which a jaw may be open at rest
 NAMED = re.compile("finger|thumb", re.IGNORECASE)  # what no joint of an arm is called
 MOST = 0.5  # of the joints before it, those that have its range if this says nothing
 ASIDE = 0.2  # of its reach, how far its middle is from its axis at least
-ACROSS = 0.5  # cosine of its axis to the way to its tip
+ACROSS = 0.6  # cosine of its axis to the way to its tip
 
 
 def is_finger(structure: Structure, joint: Any, far: float = 0.0) -> bool:

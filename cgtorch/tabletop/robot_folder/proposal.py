@@ -124,7 +124,7 @@ def propose(
     urdf.model.update_cfg(held if torso is None else {**held, torso: position})
     if torso is not None and wishes.torso_position is None:
         position = _torso_position(structure, urdf.joint(torso), chains)
-    arms = wishes.arms
+    arms = tuple(_from_base(structure, arm) for arm in wishes.arms)
     if not arms:
         urdf, arms = _arms(structure, hands, chains, notes)
         structure = Structure(urdf, base, corners)
@@ -167,8 +167,9 @@ def _found(structure: Structure, notes: list[str]) -> tuple[list[str], list[Any]
         )
     if others:
         notes.append(f"no arms: {others}; name them by --arm if that is wrong")
-    shared = {joint.name: joint for arm in arms for joint in arm.joints[: arm.shared]}
-    return [arm.link for arm in arms], list(shared.values()), [list(arm.own) for arm in arms]
+    before = [{joint.name: joint for joint in arm.joints[: arm.shared]} for arm in arms]
+    shared = [joint for name, joint in before[0].items() if all(name in each for each in before)]
+    return [arm.link for arm in arms], shared, [list(arm.own) for arm in arms]
 
 
 def _hand_of(structure: Structure, arm: Arm) -> str:
@@ -176,6 +177,12 @@ def _hand_of(structure: Structure, arm: Arm) -> str:
     joints = structure.urdf.joints_between(arm.base_link, arm.tool_frame)
     moving = [joint for joint in joints if joint.type in MOVING]
     return str(moving[-1].child if moving else arm.base_link)
+
+
+def _from_base(structure: Structure, arm: Arm) -> Arm:
+    """An arm that begins at the base frame, if it is said to begin at a link above that."""
+    below = arm.base_link in structure.hanging(structure.base)
+    return arm if below else replace(arm, base_link=structure.base)
 
 
 def _chains(structure: Structure, hands: list[str]) -> tuple[list[Any], list[list[Any]]]:

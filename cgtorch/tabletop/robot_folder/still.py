@@ -1,4 +1,4 @@
-"""Joints that cannot move, though others hang from them."""
+"""Joints that hardly move, though others hang from them, as the lock of a tool changer."""
 
 from typing import Any
 
@@ -10,12 +10,12 @@ from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf
 from cgtorch.tabletop.robot_folder.base import add_origin
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
-STILL = 1e-6  # rad or m: a joint of a smaller range cannot move
+STILL = 5e-3  # rad or m: a joint of a smaller range hardly moves
 _OF_MOTION = ("axis", "limit", "dynamics", "safety_controller", "calibration")
 
 
 def without_still(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
-    """A URDF whose joints of no range are fixed where they are, and a note of which these are.
+    """A URDF whose joints of hardly any range are fixed, and a note of which these are.
 
     A joint that moves hangs from each of them. Other joints without a range, as those of fingers
     that are not used, remain.
@@ -39,7 +39,7 @@ def without_still(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
             add_origin(element, pose)
     are = "is" if len(still) == 1 else "are"
     names = ", ".join(still)
-    note = f"{names} {are} taken to be fixed, as the two limits are the same"
+    note = f"{names} {are} taken to be fixed, as the two limits are nearly the same"
     return checked_urdf(urdf.path, root), (note,)
 
 
@@ -55,9 +55,10 @@ def _carries_motion(structure: Structure, joint: Any) -> bool:
 
 
 def _origin(joint: Any) -> Array:
-    """(4, 4) where a joint at its only position holds its child, in the parent's frame."""
+    """(4, 4) where a joint nearest to 0 holds its child, in the parent's frame."""
     origin = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=np.float64)
-    axis, at = np.asarray(joint.axis, dtype=np.float64), float(joint.limit.lower)
+    low, high = float(joint.limit.lower), float(joint.limit.upper)
+    axis, at = np.asarray(joint.axis, dtype=np.float64), min(max(low, 0.0), high)
     if joint.type == "prismatic":
         return np.asarray(origin @ transformations.translation_matrix(at * axis))
     return np.asarray(origin @ transformations.rotation_matrix(at, axis))

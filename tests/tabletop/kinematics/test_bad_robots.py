@@ -268,8 +268,8 @@ def test_a_capsule_is_a_cylinder_and_two_spheres(tmp_path):
     assert "line 1: capsule length is 'nan'" in fails(load_urdf, robot(tmp_path, text))
 
 
-def test_a_limit_without_a_number_is_nought_as_the_format_says(tmp_path):
-    for given, wanted in (('upper="2"', (0, 2)), ('lower="-1"', (-1, 0)), ("", (0, 0))):
+def test_a_limit_with_one_number_has_nought_as_the_other_as_the_format_says(tmp_path):
+    for given, wanted in (('upper="2"', (0, 2)), ('lower="-1"', (-1, 0)), ("", (None, None))):
         text = joined("revolute", f'<limit {given} effort="1" velocity="1"/>')
         limit = load_urdf(robot(tmp_path, text)).joint("j").limit
         assert (limit.lower, limit.upper) == wanted

@@ -4,6 +4,7 @@ import pytest
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
+from cgtorch.tabletop.kinematics.urdf import read_urdf
 
 ROBOT = (
     '<robot><link name="a"><visual><geometry><box size="1 1 1"/></geometry>{}</visual></link>'
@@ -65,6 +66,19 @@ def test_limits_are_nought_where_they_are_not_given(tmp_path):
     assert limit() == (0, 1, 0, 0)
     assert limit("prismatic", '<limit upper="2" velocity="3"/>') == (0, 2, 0, 3)
     assert limit("continuous", '<limit effort="4"/>') == (None, None, 4, 0)
+
+
+def test_a_joint_that_turns_and_whose_limit_has_no_ends_is_continuous(tmp_path):
+    def joint(kind):
+        return read(tmp_path, "", kind, '<limit effort="4" velocity="3"/>').joint_map["j"]
+
+    turning, sliding = joint("revolute"), joint("prismatic")
+    assert (turning.type, turning.limit.effort) == ("continuous", 4)
+    assert (sliding.type, sliding.limit.lower, sliding.limit.upper) == ("prismatic", 0, 0)
+    joint("revolute")
+    notes = list[str]()
+    read_urdf(tmp_path / "a.urdf", notes)
+    assert notes == ["joint 'j' has no limits and is taken for continuous"]
 
 
 def test_limits_that_are_infinite_are_none(tmp_path):

@@ -297,6 +297,13 @@ def test_the_folder_around_a_folder_urdf_is_a_package(world):
             found(world, name, urdf=f"ws/repo/arm_description/{place}/r.urdf")
 
 
+def test_the_folder_of_a_urdf_is_its_package_where_there_is_no_other(world):
+    mesh = world / "elsewhere/hand/meshes/a.stl"
+    mesh.parent.mkdir(parents=True)
+    mesh.write_text("beside")
+    assert found(world, "package://old_name/meshes/a.stl", urdf="elsewhere/hand/r.urdf") == mesh
+
+
 def test_capitals_of_a_file_may_differ_if_only_one_is_alike(world):
     mesh = world / "ws/repo/arm_description/meshes/a.stl"
     assert found(world, NAME.replace("a.stl", "A.STL"), ["ws"]) == mesh

@@ -131,6 +131,8 @@ def test_the_floor_is_at_the_lowest_point_of_all_but_the_arms(tmp_path):
     assert height(link("base", ""), low, of=["arm0"]) == (pytest.approx(0.525), [])
     assert height(link("base", box("0.2 0.2 0.2", "0 0 0.119"))) == (0.0, [])
     assert height(link("base", box("0.2 0.2 0.2", "0 0 0.121"))) == (pytest.approx(-0.021), [])
+    wheel = link("wheel", box("0.1 0.1 0.1", kind="visual")) + joint("wheel", "base", "0 0 -0.5")
+    assert height(high, wheel) == (pytest.approx(0.55), [])  # which is only seen
     foot = link("my_footprint", "") + joint(
         "my_footprint", "base", "0 0 -0.3", kind="fixed", more=""
     )

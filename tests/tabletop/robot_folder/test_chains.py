@@ -15,10 +15,10 @@ from cgtorch.tabletop.robot_folder.chains import (
     LEG,
     SHORT,
     _freedom,
-    _lowest,
     _reach,
     _within,
     chains_of,
+    lowest,
 )
 from cgtorch.tabletop.robot_folder.fingers import depth_of, extent
 from cgtorch.tabletop.robot_folder.make import make_robot_folder
@@ -129,6 +129,8 @@ def test_a_head_without_fingers_is_no_arm_where_others_have_some(tmp_path):
     [
         (box("0.02 0.02 0.1", "0.01 0 0.06"), "0 1 0", True, True),
         (box("0.02 0.02 0.1", "0.01 0 0.06", "visual"), "0 1 0", True, True),
+        (box("0.02 0.02 0.1", "0.01 0.04 0.06"), "0 1 0", True, True),  # aside along its axis
+        (box("0.02 0.02 0.1", "0.01 0.05 0.06"), "0 1 0", True, False),
         (box("0.02 0.02 0.1", "0.01 0 0.06"), "0 1 0", False, False),  # nothing to close against
         (box("0.02 0.02 0.1", "0 0 0.06"), "0 0 1", True, False),  # it turns about itself
         (box("0.05 0.05 0.05"), "0 1 0", True, False),  # it lies around its axis
@@ -214,8 +216,8 @@ def test_what_hangs_from_a_joint_is_as_deep_and_as_far_as_its_longest_part(tmp_p
     farthest = math.sqrt(half**2 + (0.3 + half) ** 2 + (0.2 + 0.1 + half) ** 2)
     assert extent(structure, "a") == pytest.approx(farthest)
     assert extent(structure, "e") == pytest.approx(half * math.sqrt(3))
-    assert _lowest(structure, ["a", "d"]) == pytest.approx(0.1 - half)
-    assert _lowest(structure, []) == math.inf
+    assert lowest(structure, ["a", "d"]) == pytest.approx(0.1 - half)
+    assert lowest(structure, []) == math.inf
     own = [above[name] for name in "abc"]
     chain = SimpleNamespace(own=own, link="c")
     assert _reach(structure, chain) == pytest.approx(0.2 + 0.3 + extent(structure, "c"))

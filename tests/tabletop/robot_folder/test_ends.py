@@ -70,6 +70,30 @@ def test_claws_of_a_large_arm_are_large(tmp_path, size):
     assert arms(structure) == ({"arm5": 6} if size == 0.55 else {"claw0.2": 7})
 
 
+@pytest.mark.parametrize("follows", [False, True])
+def test_claws_of_which_one_follows_the_other_may_be_large(tmp_path, follows):
+    """Half as long as their arm, 1 m; on three joints they make no arm of four."""
+    more = {1: LIMIT, -1: LIMIT + follows * '<mimic joint="claw1_joint" multiplier="-1"/>'}
+    arm = chain("arm", 3, "base", "0 0 0.5", first="0 0 0.9")
+    claws = "".join(
+        link(f"claw{side}", box("0.02 0.02 0.4", "0 0 0.2"))
+        + joint(f"claw{side}", "arm2", f"0 {side / 10} 0", "1 0 0", more=more[side])
+        for side in more
+    )
+    found = arms(structure_of(tmp_path, BASE, arm, claws))
+    assert found == ({} if follows else {"claw1": 4})
+
+
+@pytest.mark.parametrize(("axis", "kept"), [("0 1 0", 5), ("1 0 0", 4)])
+def test_rods_beside_an_arm_make_no_torso_of_what_carries_both(tmp_path, axis, kept):
+    """A linkage is written as two chains, of which one only moves in a plane."""
+    arm = chain("arm", 5, "base", "0 0 0.2", first="0 0 0.9")
+    rods = chain("rod", 2, "arm0", "0 0 0.2", first="0.1 0 0.2").replace("0 0 1", "0 1 0")
+    rods += link("rod2") + joint("rod2", "rod1", "0 0 0.2", axis)
+    found = arms(structure_of(tmp_path, BASE, arm, rods))
+    assert found == {"arm4": kept}
+
+
 def test_what_carries_two_joints_is_no_finger(tmp_path):
     """A gear beside the last joint of a wrist, which carries a gripper."""
     arm = chain("arm", 6, "base", first="0 0 0.9") + fingers("gripper", "arm5")

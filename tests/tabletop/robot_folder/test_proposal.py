@@ -88,6 +88,14 @@ def test_no_arm_is_said_with_what_to_do(tmp_path):
     assert proposed(text, tmp_path, wish).words.arms == wish.arms
 
 
+def test_an_arm_that_is_said_to_begin_above_the_base_frame_begins_there(tmp_path):
+    root = link("world", "") + link("base", box("0.3 0.3 1", "0 0 0.5"))
+    root += joint("base", "world", "0 0 0", kind="fixed", more="")
+    text = f'<robot name="x">{root}{chain("b", 3, "base", first="0.2 0 0.5")}</robot>'
+    wish = Wishes(arms=(Arm("short", "world", "b2"),), base_frame="base")
+    assert proposed(text, tmp_path, wish).words.arms == (Arm("short", "base", "b2"),)
+
+
 def test_the_tool_frame_lies_between_the_finger_tips(tmp_path):
     plain, _ = without_meshes(load_urdf(mesh_robot.write_package(tmp_path)))
     found = propose(plain, Wishes())
@@ -222,6 +230,18 @@ def test_what_moves_all_hands_or_lifts_them_is_the_torso(tmp_path):
     assert found("p5") == (["lift_joint"], [one])
     assert found("p3") == ([], [["lift_joint", *one[:4]]])  # which needs the lift
     assert found("p5", "p3") == (["lift_joint", *one[:4]], [one[4:], []])
+
+
+def test_a_slide_below_one_of_two_arms_is_no_torso(tmp_path):
+    """As where each arm has a lift of its own."""
+    text = link("base", box("0.3 0.3 0.3", "0 0 0.15"))
+    for name, at in (("left", "0.2 0.3 0.5"), ("right", "0.2 -0.3 0.5")):
+        text += link(f"{name}_lift") + joint(f"{name}_lift", "base", at, kind="prismatic")
+        text += chain(name, 5, f"{name}_lift")
+    words = proposed(f'<robot name="x">{text}</robot>', tmp_path).words
+    assert {arm.base_link for arm in words.arms} == {"left_lift", "right_lift"}
+    assert words.torso_joint is None
+    assert words.gripper_joints == {"left_lift_joint": 0.0, "right_lift_joint": 0.0}
 
 
 @pytest.mark.parametrize("other", [("base", "p3"), ("base", "p1"), ("base", "base")])

@@ -1,4 +1,4 @@
-"""Joints without a range: those from which others hang are fixed where they are."""
+"""Joints of hardly any range: those from which others hang are fixed where they are."""
 
 from pathlib import Path
 
@@ -29,13 +29,25 @@ def test_a_joint_without_a_range_is_fixed_where_it_is(tmp_path: Path, kind: str)
     still = joint("a", "base", "0.1 0.2 0.3", "0 1 0", kind, BOTH.format(0.4))
     urdf = urdf_with(tmp_path, BASE, link("a"), still, link("b"), joint("b", "a"))
     found, notes = without_still(urdf)
-    assert notes == ("a_joint is taken to be fixed, as the two limits are the same",)
+    assert notes == ("a_joint is taken to be fixed, as the two limits are nearly the same",)
     assert kinds(found) == {"a": "fixed", "b": "revolute"}
     urdf.model.update_cfg({"a_joint": 0.4})
     for name in ("a", "b"):
         poses = [each.model.get_transform(name, "base") for each in (urdf, found)]
         np.testing.assert_allclose(poses[0], poses[1], atol=1e-6)
     assert without_still(found) == (found, ())
+
+
+@pytest.mark.parametrize(("low", "high", "at"), [(0, 0.004, 0), (-0.004, 0, 0), (0.1, 0.104, 0.1)])
+def test_a_lock_that_slides_by_some_millimetres_is_fixed(
+    tmp_path: Path, low: float, high: float, at: float
+) -> None:
+    limit = f'<limit lower="{low}" upper="{high}" effort="1" velocity="1"/>'
+    lock = joint("lock", "base", "0 0 0.1", "0 0 1", "prismatic", limit)
+    urdf = urdf_with(tmp_path, BASE, link("lock"), lock, link("bit"), joint("bit", "lock"))
+    found, _ = without_still(urdf)
+    assert kinds(found)["lock"] == "fixed"
+    assert found.model.get_transform("lock", "base")[2, 3] == pytest.approx(0.1 + at)
 
 
 def test_joints_from_which_nothing_hangs_that_moves_or_that_others_follow_remain(
@@ -68,4 +80,4 @@ def test_a_joint_that_cannot_move_is_none_of_an_arm_and_is_told(tmp_path: Path) 
     urdf = urdf_of(tmp_path, BASE, more, mount, fingers("jaw", "mount"))
     made = make_robot_folder(urdf, tmp_path / "mine")
     assert list(made.robot.arms[0].joint_names) == [f"arm{i}_joint" for i in range(5)]
-    assert "mount_joint is taken to be fixed, as the two limits are the same" in made.notes
+    assert "mount_joint is taken to be fixed, as the two limits are nearly the same" in made.notes
