@@ -120,7 +120,7 @@ def _before(work: Work) -> Iterator[str]:
         yield "  2. Evolve skills inside Γ and C, and try the best of them in the world."
         yield "  3. Accept a skill if it forgets nothing and solves something new."
     elif run.imagines:
-        yield "  1. Play a few random episodes, and fit Γ and rewards to them."
+        yield "  1. Play a few short episodes of random controls, and fit Γ and rewards to them."
         yield "  2. Evolve skills in imagined episodes, and play the best of them in the world."
     elif rewarded(run.domain) and settings.method == "compose":
         yield "  1. Evolve skills in the world itself, on fresh episodes in each generation."

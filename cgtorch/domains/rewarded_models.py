@@ -41,7 +41,6 @@ class RewardedModels(Generic[D]):
             episode keeps its return.
         looks: First percepts of episodes that are looked at, without a step.
         changes: Chances of another control in each step, of each of the first episodes.
-        tries: The number of random graphs that are played after them.
     """
 
     reward: Reward | None = None
@@ -49,7 +48,6 @@ class RewardedModels(Generic[D]):
     graded: bool = False
     looks: int = 500
     changes: Sequence[float] = (1.0, 0.25, 0.06, 1.0)
-    tries: int = 0
 
     def __init__(self, domain: D) -> None:
         """The models of a domain; SettingsError or DomainError if Γ cannot be learned of it."""

@@ -51,6 +51,8 @@ SURE = 500
 """Imagined episodes by which a champion is judged before it is played in the world."""
 FRESH = 100
 """Fresh episodes by which an offer is judged, whose mean is not that of all."""
+IN_A_ROW = 20
+"""Good episodes in a row after which a skill is offered where rewards are graded."""
 TELLING = 0.03
 """How unsure Γ is on average, of 1 where it knows nothing, in episodes that it learns from."""
 MOST_CAUTIOUS = 3
@@ -95,26 +97,13 @@ class Search:
             episode, before = self._episode(RANDOM, SHORT, generator), setup.purse.total
             parts.append(tried_out(episode, models.random_control, change, generator))
             total += setup.purse.total - before
-        for graphs in self._random_graphs(models.tries, generator):
-            episode, before = self._episode(RANDOM, HORIZON, generator), setup.purse.total
-            parts.append(played(episode, graphs, setup.actions, setup.max_transitions)[1])
-            total += setup.purse.total - before
         began = time.perf_counter()
         known = models.learned(starts, Steps.joined(parts))
         state = self.first_state(known).met(known, STARTS, looks).met(known, RANDOM, total)
-        summary = ModelSummary(f"{len(parts)} random episodes: {known.summary()}")
+        summary = ModelSummary(f"{len(parts)} episodes of random controls: {known.summary()}")
         seconds = time.perf_counter() - began
         setup.watch(ModelsFitted(setup.name, replace(summary, first=True), seconds))
         return state
-
-    def _random_graphs(self, count: int, generator: Generator) -> list[Graphs]:
-        """So many random graphs, such as a search begins with."""
-        if not count:
-            return []
-        s = self.setup.evolution
-        about = self.setup.actions, s.capacity, s.initial_nodes, generator
-        found = s.first_graphs(count, *about)
-        return [found[i : i + 1] for i in range(count)]
 
     def _episode(self, phase: str, most: float, generator: Generator) -> OneEpisode:
         """A fresh episode in the world, broken off after so many steps."""
@@ -134,7 +123,7 @@ class Search:
             if self.promising(state):
                 state = replace(state, inner=search.known_better(inner, SURE, generator))
                 if (holder := state.inner.holder) is not None and self.promising(state):
-                    return self._champion_played(state, holder.skill, generator)
+                    return self._practised(state, holder.skill, generator)
                 break  # it was lucky, and the search goes on from what is known by now
         state = state.waiting(self.wanted(HORIZON))
         if state.waited < state.patience and not poor:
@@ -167,13 +156,26 @@ class Search:
         if self.models.graded:
             holder = state.inner.holder
             best = self.skill_of(graphs) if holder is None else holder.skill
-            return self._champion_played(state, best, generator)
+            return self._practised(state, best, generator)
         if self.telling(graphs, state.known, generator):
             return self._played(state, graphs, CURIOUS, CURIOUS_STEPS, generator)[0], False
         curious = self.exploring(state.known, generator)
         if self.telling(curious, state.known, generator):
             return self._explored(state, graphs, curious, generator)
         return replace(state, patience=state.patience + PATIENCE), False
+
+    def _practised(self, state: State, skill: Skill, generator: Generator) -> tuple[State, bool]:
+        """The state after a champion was played in the world, and whether it is offered.
+
+        Where rewards are graded, it is played up to its first failure. It is offered, too, if so
+        many episodes are good in a row, whatever is imagined for it.
+        """
+        graded = self.models.graded
+        for _ in range(IN_A_ROW if graded else 1):
+            state, offered, reached = self._champion_played(state, skill, generator)
+            if offered or reached < self.wanted(HORIZON) or self.setup.purse.late():
+                return state, offered
+        return (replace(state, skill=skill), True) if graded else (state, False)
 
     def _explored(
         self, state: State, graphs: Graphs, curious: Graphs, generator: Generator
@@ -198,8 +200,8 @@ class Search:
 
     def _champion_played(
         self, state: State, skill: Skill, generator: Generator
-    ) -> tuple[State, bool]:
-        """The state after an episode of a champion, and whether it is offered.
+    ) -> tuple[State, bool, float]:
+        """The state after an episode of a champion, whether it is offered, and the return.
 
         It is if the episode was good enough, or gave what was imagined for a good skill, and if
         enough is imagined for it by now.
@@ -212,7 +214,7 @@ class Search:
         told = None if reached == -inf else reached
         about = self.setup.name, skill, offered, told, None, 1
         self.setup.watch(MeanTested(*about, state.inner.need.scenarios, state.episodes))
-        return (replace(state, skill=skill) if offered else state), offered
+        return (replace(state, skill=skill) if offered else state), offered, reached
 
     def _played(
         self, state: State, graphs: Graphs, phase: str, most: int, generator: Generator

@@ -109,11 +109,6 @@ class Models(Protocol):
         """Chances of another control in each step, of each of the first episodes."""
         ...
 
-    @property
-    def tries(self) -> int:
-        """The number of random graphs that are played after them."""
-        ...
-
     def random_control(self, percept: Tensor, generator: Generator) -> Tensor:
         """(1, U) a random control at a percept (1, D)."""
         ...

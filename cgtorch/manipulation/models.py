@@ -31,8 +31,7 @@ class ArmModels(RewardedModels[Any]):
 
     graded = True
     looks = 100
-    changes = (1.0,) * 3
-    tries = 5
+    changes = (1.0,) * 6
 
     def __init__(self, domain: Any) -> None:
         """The models of a `Manipulation` with a single task."""
@@ -62,10 +61,12 @@ class ArmModels(RewardedModels[Any]):
 class SegmentProcess(GaussianProcess):
     """Γ of segments."""
 
-    def __init__(self, arm: Arm, *steps: Any) -> None:
+    def __init__(self, arm: Arm, percept: Tensor, control: Tensor, *more: Any) -> None:
         """Fit steps of an arm, as `GaussianProcess` does."""
         self.arm = arm
-        super().__init__(*steps)
+        been = torch.cat([each[:, arm.columns("hand")] for each in (percept, more[0])]).double()
+        self._low, self._high = been.amin(0), been.amax(0)
+        super().__init__(percept, control, *more)
 
     def features(self, percept: Tensor, control: Tensor) -> Tensor:
         """See `GaussianProcess.features`. Goals are not there, so they make no difference."""
@@ -79,7 +80,10 @@ class SegmentProcess(GaussianProcess):
         return torch.cat([*parts, control[:, 3:]], 1)
 
     def expected(self, percept: Tensor, control: Tensor) -> Tensor:
-        """See `GaussianProcess.expected`: the hand is at its target, and nothing else has moved."""
+        """See `GaussianProcess.expected`: the hand is at its target, and nothing else has moved.
+
+        It is not expected where it has never been, as targets may be out of reach.
+        """
         after = percept.clone()
         after[:, self.arm.columns("hand")] = self._target(control)
         return after
@@ -95,7 +99,8 @@ class SegmentProcess(GaussianProcess):
 
     def _target(self, control: Tensor) -> Tensor:
         centre = torch.tensor(self.arm.centre, dtype=control.dtype)
-        return (control[:, :3] - centre) / self.arm.unit
+        target = (control[:, :3] - centre) / self.arm.unit
+        return target.clamp(self._low.to(target), self._high.to(target))
 
 
 class LearnedGrade:

@@ -36,7 +36,7 @@ MODELS = [
     "  3. Accept a skill if it forgets nothing and solves something new.",
 ]
 IMAGINED = [
-    "  1. Play a few random episodes, and fit Γ and rewards to them.",
+    "  1. Play a few short episodes of random controls, and fit Γ and rewards to them.",
     "  2. Evolve skills in imagined episodes, and play the best of them in the world.",
 ]
 REWARDED = [

@@ -13,13 +13,14 @@ from watched import of_kind
 
 from cgtorch.evolution import REWARDS, Generation, evolve
 from cgtorch.evolution.fitness import WORTHLESS
-from cgtorch.graphs import Graphs, Skill
+from cgtorch.graphs import Graphs, Skill, compacted
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.improvement import imagined_search
 from cgtorch.improvement.events import EpisodePlayed, Event, MeanTested, ModelsFitted
 from cgtorch.improvement.imagined_search import (
     FRESH,
     HORIZON,
+    IN_A_ROW,
     MOST_CAUTIOUS,
     SHORT,
     Search,
@@ -338,8 +339,66 @@ def test_a_champion_is_kept_if_the_world_gives_what_was_imagined_or_what_is_want
         monkeypatch.setattr(Search, "_played", lambda *_, found=found: found)
         for sure in (True, False):
             monkeypatch.setattr(Search, "surely", lambda *_, sure=sure: sure)
-            state, offered = search._champion_played(begun, told_skill(GOOD), seeded(1))
+            played = search._champion_played(begun, told_skill(GOOD), seeded(1))
+            state, offered, returned = played
             assert offered is (state.skill is not None) is (bool(kept) and sure)
+            assert returned == reached
+            assert search._practised(begun, told_skill(GOOD), seeded(1))[1] is offered
+
+
+class GradedModels(GivenModels):
+    """Those of rewards that are grades."""
+
+    graded = True
+
+
+def practised(
+    monkeypatch: pytest.MonkeyPatch, begun: State, *returns: float, late: bool = False
+) -> tuple[int, bool]:
+    """How often a skill is played that returns these, one after the other, and if it is offered."""
+    search, left = search_of(kind=GradedModels), list(returns)
+
+    def played(*_: Any) -> tuple[State, float, float]:
+        return begun, left.pop(0), 0.0
+
+    monkeypatch.setattr(Search, "_played", played)
+    monkeypatch.setattr(Search, "promised", lambda *_: (0.0, 0.0))
+    monkeypatch.setattr(Purse, "late", lambda _: late)
+    state, offered = search._practised(begun, told_skill(GOOD), seeded(1))
+    assert (state.skill is not None) is offered
+    return len(returns) - len(left), offered
+
+
+def test_where_rewards_are_graded_a_champion_is_played_up_to_its_first_failure(
+    begun: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good = search_of().wanted(HORIZON)
+    assert practised(monkeypatch, begun, *[good] * IN_A_ROW, good) == (IN_A_ROW, True)
+    assert practised(monkeypatch, begun, good, good, good - 0.1, good) == (3, False)
+    assert practised(monkeypatch, begun, good, good, late=True) == (1, False)
+    assert practised(monkeypatch, begun, *[good] * (IN_A_ROW - 1), -inf) == (IN_A_ROW, False)
+
+
+def test_where_rewards_are_graded_the_best_so_far_is_what_is_played_to_learn(
+    begun: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search, told = search_of(kind=GradedModels), list[Skill]()
+
+    def noted(_: Search, state: State, skill: Skill, *__: Any) -> tuple[State, bool]:
+        told.append(skill)
+        return state, False
+
+    monkeypatch.setattr(Search, "_practised", noted)
+    world = DOMAIN.world(DOMAIN.draw("any", 8, seeded(0)))
+    about = world, search.setup.actions, search.setup.evolution, seeded(0)
+    generation = next(evolve(*about, max_transitions=500))
+    holder = Holder(told_skill(GOOD))
+    for held in (holder, None):
+        state = replace(begun, waited=9, inner=replace(begun.inner, holder=held))
+        after, offered = search._learned(state, generation, seeded(1))
+        assert (after.waited, offered) == (0, False)
+    assert told[0] is holder.skill
+    assert same(told[1].graph, compacted(generation.champion.graphs))
 
 
 def test_an_episode_that_is_not_finished_has_no_return(begun: State) -> None:

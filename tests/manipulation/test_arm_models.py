@@ -60,20 +60,23 @@ def segments(n: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def test_gamma_knows_where_a_segment_ends_before_it_learns_how_it_is_hindered() -> None:
-    gamma = SegmentProcess(ARM, *segments(150, 0), None)
+    known = segments(150, 0)
+    gamma = SegmentProcess(ARM, *known, None)
     before, control, after = segments(200, 1)
     found, unsure = gamma.predict(before, control)
     assert found.dtype == unsure.dtype == torch.float64
     error = (found - after).abs()
     usual = (gamma.expected(before.double(), control.double()) - after).abs()
     freely = slice(HAND.start, HAND.stop - 1)
-    assert error[:, freely].max() < 1e-3
+    assert error[:, freely].median() < 1e-6
     assert error[:, HAND].mean() < 0.5 * usual[:, HAND].mean()
     assert error[:, TIME].mean() < 1e-3
     assert error[:, THING].mean() < 0.4 * usual[:, THING].mean()
     assert error[:, GOAL].max() < 1e-9
-    away, _ = gamma.predict(before, controls(before[:, HAND] + 5))
-    torch.testing.assert_close(away[:, HAND], before[:, HAND].double() + 5, atol=0.5, rtol=0)
+    # A target out of reach is not expected to be reached, but the farthest place where it has been.
+    away = gamma.expected(before.double(), controls(before[:, HAND] + 50).double())
+    farthest = torch.cat([known[0], known[2]])[:, HAND].amax(0).double()
+    assert bool((away[:, HAND] == farthest).all())
 
 
 def test_gamma_does_not_depend_on_where_the_goal_is() -> None:
