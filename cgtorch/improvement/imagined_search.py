@@ -20,6 +20,8 @@ from cgtorch.improvement.events import (
     MeanTested,
     ModelsFitted,
     ModelSummary,
+    Practised,
+    WorldAsked,
 )
 from cgtorch.improvement.imagined_state import (
     CHAMPIONS,
@@ -51,8 +53,8 @@ SURE = 500
 """Imagined episodes by which a champion is judged before it is played in the world."""
 FRESH = 100
 """Fresh episodes by which an offer is judged, whose mean is not that of all."""
-IN_A_ROW = 20
-"""Good episodes in a row after which a skill is offered where rewards are graded."""
+IN_A_ROUND = 20
+"""Good episodes in a row after which a skill is offered in a round where rewards are graded."""
 TELLING = 0.03
 """How unsure Γ is on average, of 1 where it knows nothing, in episodes that it learns from."""
 MOST_CAUTIOUS = 3
@@ -103,6 +105,9 @@ class Search:
         summary = ModelSummary(f"{len(parts)} episodes of random controls: {known.summary()}")
         seconds = time.perf_counter() - began
         setup.watch(ModelsFitted(setup.name, replace(summary, first=True), seconds))
+        if total.steps:
+            good = sum(float(each.reward.sum()) >= self.wanted(HORIZON) for each in parts)
+            setup.watch(WorldAsked(setup.name, RANDOM, total, good))
         return state
 
     def _episode(self, phase: str, most: float, generator: Generator) -> OneEpisode:
@@ -123,7 +128,8 @@ class Search:
             if self.promising(state):
                 state = replace(state, inner=search.known_better(inner, SURE, generator))
                 if (holder := state.inner.holder) is not None and self.promising(state):
-                    return self._practised(state, holder.skill, generator)
+                    play = self._practised if self.models.graded else self._champion_played
+                    return play(state, holder.skill, generator)
                 break  # it was lucky, and the search goes on from what is known by now
         state = state.waiting(self.wanted(HORIZON))
         if state.waited < state.patience and not poor:
@@ -165,17 +171,28 @@ class Search:
         return replace(state, patience=state.patience + PATIENCE), False
 
     def _practised(self, state: State, skill: Skill, generator: Generator) -> tuple[State, bool]:
-        """The state after a champion was played in the world, and whether it is offered.
+        """The state after a skill was played up to its first failure, and whether it is offered.
 
-        Where rewards are graded, it is played up to its first failure. It is offered, too, if so
-        many episodes are good in a row, whatever is imagined for it.
+        It is after `Setup.practice` good episodes in a row, whatever is imagined for it, and after
+        a few in a round, which tries it on fresh episodes itself.
         """
-        graded = self.models.graded
-        for _ in range(IN_A_ROW if graded else 1):
-            state, offered, reached = self._champion_played(state, skill, generator)
-            if offered or reached < self.wanted(HORIZON) or self.setup.purse.late():
-                return state, offered
-        return (replace(state, skill=skill), True) if graded else (state, False)
+        setup, few = self.setup, self.setup.practice or IN_A_ROUND
+        parts, total, good = list[Steps](), NOTHING, 0
+        while good < few and not setup.purse.late():
+            reached, steps, asked = self._tried(skill.graph, CHAMPIONS, HORIZON, generator)
+            total += asked
+            parts += [steps] if len(steps) else []
+            if reached < self.wanted(HORIZON):
+                break
+            good += 1
+        known = state.known
+        if parts:
+            starts = torch.cat([steps.percept[:1] for steps in parts])
+            known = known.after(starts, Steps.joined(parts))
+        setup.watch(WorldAsked(setup.name, CHAMPIONS, total, good))
+        setup.watch(Practised(setup.name, skill, good, few))
+        state = state.met(known, CHAMPIONS, total)
+        return (replace(state, skill=skill), True) if good == few else (state, False)
 
     def _explored(
         self, state: State, graphs: Graphs, curious: Graphs, generator: Generator
@@ -200,8 +217,8 @@ class Search:
 
     def _champion_played(
         self, state: State, skill: Skill, generator: Generator
-    ) -> tuple[State, bool, float]:
-        """The state after an episode of a champion, whether it is offered, and the return.
+    ) -> tuple[State, bool]:
+        """The state after an episode of a champion, and whether it is offered.
 
         It is if the episode was good enough, or gave what was imagined for a good skill, and if
         enough is imagined for it by now.
@@ -214,16 +231,14 @@ class Search:
         told = None if reached == -inf else reached
         about = self.setup.name, skill, offered, told, None, 1
         self.setup.watch(MeanTested(*about, state.inner.need.scenarios, state.episodes))
-        return (replace(state, skill=skill) if offered else state), offered, reached
+        return (replace(state, skill=skill) if offered else state), offered
 
     def _played(
         self, state: State, graphs: Graphs, phase: str, most: int, generator: Generator
     ) -> tuple[State, float, float]:
         """The state after an episode in the world, its return, and how much more was imagined."""
-        setup, before = self.setup, self.setup.purse.total
-        episode = self._episode(phase, most, generator)
-        reached, steps = played(episode, graphs, setup.actions, setup.max_transitions)
-        asked, known, said = setup.purse.total - before, state.known, inf
+        reached, steps, asked = self._tried(graphs, phase, most, generator)
+        known, said = state.known, inf
         if len(steps):
             start = steps.percept[:1]
             here = known.begun_at(start, SURE, most, generator)
@@ -232,8 +247,17 @@ class Search:
         state = state.met(known, phase, asked)
         returned = None if reached == -inf else reached
         about = returned, asked.steps or asked.motions, state.steps
-        setup.watch(EpisodePlayed(setup.name, phase, *about))
+        self.setup.watch(EpisodePlayed(self.setup.name, phase, *about))
         return state, reached, said - reached
+
+    def _tried(
+        self, graphs: Graphs, phase: str, most: int, generator: Generator
+    ) -> tuple[float, Steps, Asked]:
+        """What a graph returns in an episode in the world, its steps, and what they cost."""
+        setup, before = self.setup, self.setup.purse.total
+        episode = self._episode(phase, most, generator)
+        reached, steps = played(episode, graphs, setup.actions, setup.max_transitions)
+        return reached, steps, setup.purse.total - before
 
     def imagined(self, graphs: Graphs, world: Environment) -> Tensor:
         """(B,) returns of a graph in imagined episodes."""

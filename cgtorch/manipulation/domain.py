@@ -156,7 +156,6 @@ class SparingMetaWorld(MetaWorld):
                 f"name one, such as metaworld:{self.tasks[0]}, or evolve in the world itself: "
                 "models 'none' (--models none)"
             )
-        self.stages = {}
 
     def world(self, scenarios: Starts) -> GradedArmWorld:
         """See `Domain.world`."""

@@ -16,11 +16,17 @@ from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.graphs import Graphs, Skill, compacted
 from cgtorch.ground.asked import Asked, Purse
 from cgtorch.improvement import imagined_search
-from cgtorch.improvement.events import EpisodePlayed, Event, MeanTested, ModelsFitted
+from cgtorch.improvement.events import (
+    EpisodePlayed,
+    Event,
+    MeanTested,
+    ModelsFitted,
+    Practised,
+    WorldAsked,
+)
 from cgtorch.improvement.imagined_search import (
     FRESH,
     HORIZON,
-    IN_A_ROW,
     MOST_CAUTIOUS,
     SHORT,
     Search,
@@ -339,11 +345,8 @@ def test_a_champion_is_kept_if_the_world_gives_what_was_imagined_or_what_is_want
         monkeypatch.setattr(Search, "_played", lambda *_, found=found: found)
         for sure in (True, False):
             monkeypatch.setattr(Search, "surely", lambda *_, sure=sure: sure)
-            played = search._champion_played(begun, told_skill(GOOD), seeded(1))
-            state, offered, returned = played
+            state, offered = search._champion_played(begun, told_skill(GOOD), seeded(1))
             assert offered is (state.skill is not None) is (bool(kept) and sure)
-            assert returned == reached
-            assert search._practised(begun, told_skill(GOOD), seeded(1))[1] is offered
 
 
 class GradedModels(GivenModels):
@@ -352,31 +355,46 @@ class GradedModels(GivenModels):
     graded = True
 
 
+PRACTICE = 5
+
+
 def practised(
     monkeypatch: pytest.MonkeyPatch, begun: State, *returns: float, late: bool = False
-) -> tuple[int, bool]:
-    """How often a skill is played that returns these, one after the other, and if it is offered."""
-    search, left = search_of(kind=GradedModels), list(returns)
+) -> tuple[int, State, list[Event]]:
+    """How often a skill is played that returns these, one after the other, and what follows."""
+    told, left = list[Event](), list(returns)
+    search = search_of(kind=GradedModels, told=told)
+    setup = replace(search.setup, practice=PRACTICE)
+    steps, cost = begun.known.steps.rows(torch.arange(3)), Asked(motions=3, episodes=1)
 
-    def played(*_: Any) -> tuple[State, float, float]:
-        return begun, left.pop(0), 0.0
+    def tried(*_: Any) -> tuple[float, Any, Asked]:
+        return left.pop(0), steps, cost
 
-    monkeypatch.setattr(Search, "_played", played)
-    monkeypatch.setattr(Search, "promised", lambda *_: (0.0, 0.0))
+    monkeypatch.setattr(Search, "_tried", tried)
     monkeypatch.setattr(Purse, "late", lambda _: late)
-    state, offered = search._practised(begun, told_skill(GOOD), seeded(1))
-    assert (state.skill is not None) is offered
-    return len(returns) - len(left), offered
+    skill = told_skill(GOOD)
+    state, offered = replace(search, setup=setup)._practised(begun, skill, seeded(1))
+    assert (state.skill is skill) is offered
+    count = len(returns) - len(left)
+    assert len(state.known.steps) == len(begun.known.steps) + 3 * count
+    assert state.steps == begun.steps + 3 * count
+    return count, state, told
 
 
-def test_where_rewards_are_graded_a_champion_is_played_up_to_its_first_failure(
+def test_where_rewards_are_graded_a_skill_is_played_up_to_its_first_failure(
     begun: State, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     good = search_of().wanted(HORIZON)
-    assert practised(monkeypatch, begun, *[good] * IN_A_ROW, good) == (IN_A_ROW, True)
-    assert practised(monkeypatch, begun, good, good, good - 0.1, good) == (3, False)
-    assert practised(monkeypatch, begun, good, good, late=True) == (1, False)
-    assert practised(monkeypatch, begun, *[good] * (IN_A_ROW - 1), -inf) == (IN_A_ROW, False)
+    count, state, told = practised(monkeypatch, begun, *[good] * PRACTICE, good)
+    assert (count, state.skill is not None) == (PRACTICE, True)
+    (asked,), (shown,) = of_kind(told, WorldAsked), of_kind(told, Practised)
+    assert (asked.asked.episodes, asked.succeeded, asked.phase) == (PRACTICE, PRACTICE, CHAMPIONS)
+    assert (shown.in_a_row, shown.wanted) == (PRACTICE, PRACTICE)
+    count, state, told = practised(monkeypatch, begun, good, good, good - 0.1, good)
+    assert (count, state.skill) == (3, None)
+    assert [each.in_a_row for each in of_kind(told, Practised)] == [2]
+    assert practised(monkeypatch, begun, *[good] * (PRACTICE - 1), -inf)[0] == PRACTICE
+    assert practised(monkeypatch, begun, good, late=True)[0] == 0
 
 
 def test_where_rewards_are_graded_the_best_so_far_is_what_is_played_to_learn(
