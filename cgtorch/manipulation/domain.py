@@ -119,6 +119,13 @@ class Manipulation(Domain[Starts]):
         """The primitives by name."""
         return primitives(self.arm)
 
+    def sparing(self) -> "Manipulation":
+        """See `Sparing`; DomainError, as what counts at the last step only tells too little."""
+        raise DomainError(
+            f"Γ is not learned of {self.settings.name}, where only the last step of an episode "
+            "counts; evolve in the world itself: models 'none' (--models none)"
+        )
+
 
 class MetaWorld(Manipulation):
     """Tasks of Meta-World, such as metaworld:push-v3 or metaworld:CW10."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from arms import meta_world, starts
+from arms import fetch, meta_world, starts
 from support import seeded
 from torch import Tensor
 
@@ -177,6 +177,8 @@ def test_gamma_is_learned_of_a_single_task() -> None:
     assert MODELS.most_steps == 200
     with pytest.raises(DomainError, match="'metaworld:MT10' has 10 tasks, and Γ is learned of a"):
         SparingMetaWorld(ManipulationSettings(environment="MT10"))
+    with pytest.raises(DomainError, match="not learned of gymnasium-robotics:FetchPush-v4, where"):
+        fetch().sparing()
 
 
 def test_a_skill_is_learned_with_few_low_level_steps(tmp_path: Path) -> None:
