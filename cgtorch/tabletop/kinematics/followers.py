@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from trimesh import transformations
 
 from cgtorch.tabletop.kinematics.origins import fix, pose_of
@@ -19,43 +20,42 @@ def led(root: Any) -> list[str]:
     moving = {name: joint for name, joint in joints.items() if joint.get("type") in MOVING}
     mimics = {n: m for n, joint in moving.items() if (m := joint.find("mimic")) is not None}
     held = []
-    for name, mimic in mimics.items():
-        leader, factor, offset = _led_by(name, mimics)
-        if leader not in moving or leader in mimics:
-            fix(joints[name], _moved(joints[name], offset))
+    for name, joint in joints.items():
+        if (mimic := joint.find("mimic")) is None:
+            continue
+        leader, factor, offset = _led_by(mimic, mimics)
+        still = leader not in moving or leader in mimics
+        if still and name in mimics:
+            fix(joint, _moved(joint, offset))
             held.append(str(name))
+        elif still:
+            joint.remove(mimic)
         elif leader != mimic.get("joint"):
             mimic.attrib.update(
                 {"joint": leader, "multiplier": repr(factor), "offset": repr(offset)}
             )
-    for name in joints.keys() - mimics.keys():
-        for idle in joints[name].findall("mimic"):
-            joints[name].remove(idle)
     return held
 
 
-def _led_by(name: str | None, mimics: Mapping[str, Any]) -> tuple[str | None, float, float]:
+def _led_by(mimic: Any, mimics: Mapping[str, Any]) -> tuple[str | None, float, float]:
     """The joint that leads another in the end, and by which factor and offset.
 
     It is one of `mimics` only if they follow each other in a loop.
     """
-    factor, offset = 1.0, 0.0
-    for _ in mimics:
-        if name is None or name not in mimics:
-            break
-        mimic = mimics[name]
+    leader, factor, offset = mimic.get("joint"), 1.0, 0.0
+    for _ in range(len(mimics)):
+        leader = mimic.get("joint")
         offset += factor * float(mimic.get("offset", "0"))
         factor *= float(mimic.get("multiplier", "1"))
-        name = mimic.get("joint")
-    return name, factor, offset
+        if leader not in mimics:
+            break
+        mimic = mimics[leader]
+    return leader, factor, offset
 
 
 def _moved(joint: Any, position: float) -> Any:
     """(4, 4) where a joint at a position holds its child, in the frame of its parent."""
-    axis = joint.find("axis")
-    way = [float(x) for x in ("1 0 0" if axis is None else axis.get("xyz", "1 0 0")).split()]
+    axis = np.array([float(part) for part in joint.find("axis").get("xyz").split()])
     if joint.get("type") == "prismatic":
-        motion = transformations.translation_matrix(position * transformations.unit_vector(way))
-    else:
-        motion = transformations.rotation_matrix(position, way)
-    return pose_of(joint) @ motion
+        return pose_of(joint) @ transformations.translation_matrix(position * axis)
+    return pose_of(joint) @ transformations.rotation_matrix(position, axis)

@@ -68,6 +68,8 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
     except Exception as error:  # trimesh lets through whatever its parts raise
         reason = one_line(error)[:REASON]
         raise RobotError(f"{where} cannot be read ({reason}): export it again") from None
+    if kind == ".dae" and not len(faces) and b"geometry" not in data:
+        raise NoGeometryError(f"{where} has no geometry")
     if not 0 < len(faces) <= MAX_TRIANGLES:
         raise RobotError(
             f"{where} has {len(faces)} triangles: give from 1 to {MAX_TRIANGLES}, as many as show "
@@ -114,8 +116,6 @@ def _checked_collada(data: bytes, where: str) -> tuple[bytes, float]:
         raise RobotError(f"{where} has more than {MAX_TAGS} elements: give fewer")
     root = parsed(data, where, huge=True)
     _check_instances(root, where)
-    if root.find("{*}scene") is not None and root.find(".//{*}geometry") is None:
-        raise NoGeometryError(f"{where} has no geometry")
     element = root.find("{*}asset/{*}unit")
     text = "1" if element is None else element.get("meter", "1")
     try:
@@ -188,7 +188,7 @@ def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
     up to three levels deep, a place itself, a folder around the URDF, or in one of the three
     nearest of these. If none has the name, it is the URDF's own package, which was renamed. Any
     other path is relative to the URDF, and so is `package://FILE`; it must stay in its folder, its
-    package or one of the places. If it leads elsewhere and there is no such file, as on another
+    package or one of the places. If it is absolute and there is no such file, as on another
     machine than its author's, it is the one in a place that has the most of the end of its path.
     Only the text of the path is checked; links in a package may lead anywhere, as in a workspace of
     links. A file may be written with other capitals than its name, as some file systems do not tell
@@ -238,18 +238,11 @@ def _near(path: str, name: str, urdf: Path, places: Sequence[Path]) -> Path:
     found = Path(os.path.normpath(around[0] / path))
     roots = [around[0], *_own_package(urdf), *(Path(os.path.abspath(place)) for place in places)]
     if not any(found.is_relative_to(root) for root in roots):
-        if isfile(found):
-            raise RobotError(
-                f"URDF {str(urdf)!r} names the file {name!r}, which leads out of "
-                f"{_listed(roots)}: move it there, or give its folder as packages (--package-path)"
-            )
-        ends = (Path(*found.parts[i:]) for i in range(1, len(found.parts)))
-        for end, place in itertools.product(ends, places):
-            if (spelt := _spelt(place / end)) is not None:
-                return spelt
+        if os.path.isabs(path) and not isfile(found):
+            return _of_another_machine(found, name, urdf, places)
         raise RobotError(
-            f"URDF {str(urdf)!r} names the file {name!r}, which is not on this machine: change its "
-            "path in the URDF, or give the folder where it is as packages (--package-path)"
+            f"URDF {str(urdf)!r} names the file {name!r}, which leads out of {_listed(roots)}: "
+            "move it there, or give its folder as packages (--package-path)"
         )
     if (spelt := _spelt(found)) is None:
         raise RobotError(
@@ -257,6 +250,18 @@ def _near(path: str, name: str, urdf: Path, places: Sequence[Path]) -> Path:
             f"{str(found)!r}; put it there"
         )
     return spelt
+
+
+def _of_another_machine(path: Path, name: str, urdf: Path, places: Sequence[Path]) -> Path:
+    """The file in a place that has the most of the end of an absolute path, which is not here."""
+    ends = (Path(*path.parts[i:]) for i in range(1, len(path.parts)))
+    for end, place in itertools.product(ends, places):
+        if (spelt := _spelt(place / end)) is not None:
+            return spelt
+    raise RobotError(
+        f"URDF {str(urdf)!r} names the file {name!r}, which is not on this machine: change its "
+        "path in the URDF, or give the folder where it is as packages (--package-path)"
+    )
 
 
 def _spelt(path: Path) -> Path | None:

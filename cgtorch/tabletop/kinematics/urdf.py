@@ -120,13 +120,13 @@ def read_urdf(path: Path, notes: list[str] | None = None) -> Any:
     check_numbers(root, where)
     check_tree(root, where)
     completed(root, where)
+    for joint in root.findall("joint"):
+        check_joint(joint, f"{where}, line {joint.sourceline}: joint {joint.get('name')!r}", notes)
     still = led(root)
     if notes is not None and still:
         notes.append(
             f"{', '.join(still)}: held still, as what they follow does not move or is not there"
         )
-    for joint in root.findall("joint"):
-        check_joint(joint, f"{where}, line {joint.sourceline}: joint {joint.get('name')!r}", notes)
     return root
 
 

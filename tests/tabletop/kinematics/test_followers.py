@@ -47,11 +47,17 @@ def test_what_follows_a_follower_follows_its_leader(tmp_path, caplog):
     assert not caplog.records
 
 
-def test_a_slide_is_held_along_its_axis_and_what_is_fixed_follows_nothing(tmp_path):
+def test_what_is_fixed_follows_nothing_and_is_not_told(tmp_path, caplog):
+    parts = link("b"), joint("b", "base", kind="fixed", more=follows("nobody"))
+    path, notes = urdf_of(tmp_path, *rows(), *parts), list[str]()
+    assert checked_urdf(path, read_urdf(path, notes)).joint("b_joint").mimic is None
+    assert not notes
+    assert not caplog.records
+
+
+def test_a_slide_is_held_along_its_axis(tmp_path):
     slide = joint("b", "base", "0 0 0.1", "0 2 0", "prismatic", follows("nobody"))
-    fixed = joint("c", "base", kind="fixed", more=follows("a_joint"))
-    path = urdf_of(tmp_path, *rows(), link("b"), slide, link("c"), fixed)
-    urdf = load_urdf(path)
-    np.testing.assert_allclose(urdf.model.get_transform("b", "base")[:3, 3], [0, 0.1, 0.1])
-    assert urdf.joint("c_joint").mimic is None
+    path = urdf_of(tmp_path, *rows(), link("b"), slide)
+    place = load_urdf(path).model.get_transform("b", "base")[:3, 3]
+    np.testing.assert_allclose(place, [0, 0.1, 0.1])
     assert led(read_urdf(path)) == []
