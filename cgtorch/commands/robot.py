@@ -182,9 +182,8 @@ def _summary(made: "Made", folder: Path) -> Iterator[str]:
     yield from (f"- {note}" for note in made.notes)
     if made.inertials:
         yield f"- masses or inertias were made up for {', '.join(made.inertials)}"
-    for each in made.meshes:
-        if each.fit is None:
-            yield f"- link {each.link} is not drawn: {each.problem}"
+    without = [each for each in made.meshes if each.fit is None]
+    yield from dict.fromkeys(f"- link {each.link} is not drawn: {each.problem}" for each in without)
     grasps, why = made.reached.grasps, made.reached.why
     line = f"- of {len(grasps)} objects on a table right before the robot it can grasp "
     yield f"{line}{int(grasps.sum())}{f': {why}' if why else ''}"

@@ -20,7 +20,7 @@ from cgtorch.improvement import events
 from cgtorch.native.processes import listening
 from cgtorch.report.messages import as_time, few_solved, message_of, place_of, stage_number
 
-SILENCE = 25.0  # s without a line after which one tells what goes on
+SILENCE = 15.0  # s without a line after which one tells what goes on
 OFTEN = 25.0  # s at least between two lines on the same work where there is no terminal
 MEMORY = 0.9  # weight of the past in smoothed numbers
 LOOKED = 1.0  # s between two looks at whether it is silent

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias, get_args, get_origin
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_json
-from cgtorch.tabletop.kinematics.urdf import MOST
+from cgtorch.tabletop.kinematics.valid import MOST
 
 Capsule: TypeAlias = tuple[float, float, float, float, float, float, float]
 """Two end points and a radius (m), in the frame of a link."""

@@ -26,7 +26,7 @@ def completed(root: Any, where: str) -> None:
     a shape without any size.
     RobotError for a shape that is none of `SHAPES`.
     """
-    root.set("name", root.get("name", "robot"))
+    root.set("name", root.get("name") or "robot")
     for element in root.iter("origin", "axis", "box", "mesh"):
         for name in TRIPLES.intersection(element.attrib):
             element.set(name, element.get(name).replace(",", " "))

@@ -1,7 +1,7 @@
 """A URDF with simple shapes around its meshes in place of them, so that it needs no other file."""
 
 import copy
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,8 @@ from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.description import Capsule
-from cgtorch.tabletop.kinematics.meshes import file_named, read_mesh
+from cgtorch.tabletop.kinematics.meshes import NoGeometryError, file_named, read_mesh
+from cgtorch.tabletop.kinematics.origins import add_origin, pose_of, words
 from cgtorch.tabletop.kinematics.shapes import Array, Fit, Shape, capsule, fitted
 from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf
 
@@ -28,8 +29,8 @@ class MeshFit:
         file: The file as the URDF names it.
         kind: "collision" or "visual".
         pose: (4, 4) of the mesh in the link's frame, m.
-        fit: The shapes in the mesh's own frame, or None for a visual mesh that cannot be read, of a
-            link without collision shapes.
+        fit: The shapes in the mesh's own frame, or None for a mesh without geometry, or a visual
+            one that cannot be read, of a link without collision shapes.
         problem: Why it cannot be read.
     """
 
@@ -46,7 +47,8 @@ def without_meshes(
 ) -> tuple[Urdf, tuple[MeshFit, ...]]:
     """The URDF with shapes in place of meshes, and the shapes fitted to them; see `fitted`.
 
-    A collision mesh becomes the shapes around it, or the `capsules` of its link. A link with a
+    A collision mesh becomes the shapes around it, or the `capsules` of its link; one without any
+    geometry is left out. A link with a
     visual mesh shows its collision shapes. Without any, it shows shapes around the visual mesh, or
     nothing if that cannot be read.
 
@@ -104,10 +106,13 @@ def _replace(link: Any, kind: str, reader: _Reader) -> list[MeshFit]:
         mesh = element.find("geometry/mesh")
         if mesh is None:
             continue
-        fit = reader.fit(mesh)
-        pose = _pose(element.find("origin"))
-        found.append(MeshFit(link.get("name"), mesh.get("filename"), kind, pose, fit))
-        for shape in fit.shapes:
+        fit, pose, problem = None, pose_of(element), ""
+        try:
+            fit = reader.fit(mesh)
+        except NoGeometryError as error:
+            problem = str(error)
+        found.append(MeshFit(link.get("name"), mesh.get("filename"), kind, pose, fit, problem))
+        for shape in fit.shapes if fit is not None else ():
             for part in _elements(kind, replace(shape, pose=pose @ shape.pose)):
                 part.extend(map(copy.deepcopy, element.findall("material")))
                 element.addprevious(part)
@@ -147,31 +152,15 @@ def _elements(kind: str, shape: Shape) -> list[Any]:
     return [_element(kind, part) for part in parts]
 
 
-def _pose(origin: Any) -> Array:
-    """(4, 4) of an <origin>, or the identity."""
-    xyz, rpy = (
-        [0.0] * 3 if text is None else [float(part) for part in text.replace(",", " ").split()]
-        for text in (None if origin is None else origin.get(name) for name in ("xyz", "rpy"))
-    )
-    pose: Array = transformations.euler_matrix(*rpy, "sxyz")
-    pose[:3, 3] = xyz
-    return pose
-
-
 def _element(kind: str, shape: Shape) -> Any:
     element = etree.Element(kind)
-    numbers = transformations.euler_from_matrix(shape.pose, "sxyz")
-    etree.SubElement(element, "origin", xyz=_text(shape.pose[:3, 3].tolist()), rpy=_text(numbers))
+    add_origin(element, shape.pose)
     geometry = etree.SubElement(element, "geometry")
     if shape.kind == "box":
-        etree.SubElement(geometry, "box", size=_text(shape.sizes))
+        etree.SubElement(geometry, "box", size=words(shape.sizes))
     elif shape.kind == "cylinder":
         radius, length = map(repr, shape.sizes)
         etree.SubElement(geometry, "cylinder", radius=radius, length=length)
     else:
         etree.SubElement(geometry, "sphere", radius=repr(shape.sizes[0]))
     return element
-
-
-def _text(numbers: Collection[float]) -> str:
-    return " ".join(repr(round(float(number), 9)) for number in numbers)

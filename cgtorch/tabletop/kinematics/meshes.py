@@ -1,6 +1,7 @@
 """Meshes of a URDF: found within given folders only, and read with limits on their size."""
 
 import io
+import itertools
 import os
 import posixpath
 import re
@@ -16,7 +17,8 @@ from lxml import etree
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
 from cgtorch.tabletop.kinematics.glb import glb_triangles
-from cgtorch.tabletop.kinematics.urdf import MOST, REASON, one_line, parsed
+from cgtorch.tabletop.kinematics.urdf import REASON, one_line, parsed
+from cgtorch.tabletop.kinematics.valid import MOST
 
 KINDS = (".stl", ".dae", ".obj", ".ply", ".glb")
 MAX_BYTES = 32 * 2**20
@@ -34,6 +36,10 @@ _POINTER = b"version https://git-lfs"
 _LISTED = 8  # places that an error names
 
 
+class NoGeometryError(RobotError):
+    """A mesh file is good and has no geometry, as of a link that is not seen."""
+
+
 def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.Trimesh:
     """The triangles of a mesh file as one mesh, in m, scaled along x, y and z.
 
@@ -41,7 +47,7 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
     Neither materials nor other files are read.
 
     RobotError if it is of another kind, cannot be read, is too large, or has no triangle or a
-    number that is not finite.
+    number that is not finite; `NoGeometryError` if it is a DAE that describes nothing.
     """
     where, kind = f"mesh {str(path)!r}", path.suffix.lower()
     if kind not in KINDS:
@@ -62,6 +68,8 @@ def read_mesh(path: Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> trimesh.T
     except Exception as error:  # trimesh lets through whatever its parts raise
         reason = one_line(error)[:REASON]
         raise RobotError(f"{where} cannot be read ({reason}): export it again") from None
+    if kind == ".dae" and not len(faces) and b"geometry" not in data:
+        raise NoGeometryError(f"{where} has no geometry")
     if not 0 < len(faces) <= MAX_TRIANGLES:
         raise RobotError(
             f"{where} has {len(faces)} triangles: give from 1 to {MAX_TRIANGLES}, as many as show "
@@ -100,7 +108,10 @@ def _check_corners(data: bytes, where: str) -> None:
 
 
 def _checked_collada(data: bytes, where: str) -> tuple[bytes, float]:
-    """A DAE without anything that could name other files, and its unit, m."""
+    """A DAE without anything that could name other files, and its unit, m.
+
+    Nor does it name materials that are not there, as their geometry would not be read.
+    """
     if data.count(b"<") > 2 * MAX_TAGS:
         raise RobotError(f"{where} has more than {MAX_TAGS} elements: give fewer")
     root = parsed(data, where, huge=True)
@@ -113,6 +124,10 @@ def _checked_collada(data: bytes, where: str) -> tuple[bytes, float]:
         unit = 0.0
     if not 0 < unit <= MOST:
         raise RobotError(f"{where} has the unit {text!r} m: give a number above 0")
+    known = {f"#{material.get('id')}" for material in root.iter("{*}material")}
+    for use in list(root.iter("{*}instance_material")):
+        if use.get("target") not in known:
+            use.getparent().remove(use)
     return etree.tostring(root), unit
 
 
@@ -169,12 +184,15 @@ def package_places(
 def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
     """The file that a URDF names: `package://PACKAGE/PATH`, `file://PATH`, or a path.
 
-    A package is a folder with its name: in one of the places, up to three levels deep, a place
-    itself, a folder around the URDF, or in one of the three nearest of these. If none has the name,
-    it is the URDF's own package, which was renamed. Any other path is relative to the URDF, and so
-    is `package://FILE`; it must stay in its folder, its package or one of the places. Only the text
-    of the path is checked; links in a package may lead anywhere, as in a workspace of links. A file
-    may be written with other capitals than its name, as some file systems do not tell them apart.
+    `model://` stands for `package://`. A package is a folder with its name: in one of the places,
+    up to three levels deep, a place itself, a folder around the URDF, or in one of the three
+    nearest of these. If none has the name, it is the URDF's own package, which was renamed. Any
+    other path is relative to the URDF, and so is `package://FILE`; it must stay in its folder, its
+    package or one of the places. If it is absolute and there is no such file, as on another
+    machine than its author's, it is the one in a place that has the most of the end of its path.
+    Only the text of the path is checked; links in a package may lead anywhere, as in a workspace of
+    links. A file may be written with other capitals than its name, as some file systems do not tell
+    them apart.
 
     RobotError if there is no such file, or the name leads out of the permitted folders.
     """
@@ -183,7 +201,7 @@ def file_named(name: str, urdf: Path, places: Sequence[Path]) -> Path:
         return _near(name, name, urdf, places)
     if scheme == "file":
         return _near(_SLASHES.sub("/", rest), name, urdf, places)
-    if scheme != "package":
+    if scheme not in ("package", "model"):
         raise RobotError(
             f"URDF {str(urdf)!r} names the file {name!r}: give a path, package://PACKAGE/PATH or "
             "file://PATH"
@@ -220,6 +238,8 @@ def _near(path: str, name: str, urdf: Path, places: Sequence[Path]) -> Path:
     found = Path(os.path.normpath(around[0] / path))
     roots = [around[0], *_own_package(urdf), *(Path(os.path.abspath(place)) for place in places)]
     if not any(found.is_relative_to(root) for root in roots):
+        if os.path.isabs(path) and not isfile(found):
+            return _of_another_machine(found, name, urdf, places)
         raise RobotError(
             f"URDF {str(urdf)!r} names the file {name!r}, which leads out of {_listed(roots)}: "
             "move it there, or give its folder as packages (--package-path)"
@@ -230,6 +250,18 @@ def _near(path: str, name: str, urdf: Path, places: Sequence[Path]) -> Path:
             f"{str(found)!r}; put it there"
         )
     return spelt
+
+
+def _of_another_machine(path: Path, name: str, urdf: Path, places: Sequence[Path]) -> Path:
+    """The file in a place that has the most of the end of an absolute path, which is not here."""
+    ends = (Path(*path.parts[i:]) for i in range(1, len(path.parts)))
+    for end, place in itertools.product(ends, places):
+        if (spelt := _spelt(place / end)) is not None:
+            return spelt
+    raise RobotError(
+        f"URDF {str(urdf)!r} names the file {name!r}, which is not on this machine: change its "
+        "path in the URDF, or give the folder where it is as packages (--package-path)"
+    )
 
 
 def _spelt(path: Path) -> Path | None:

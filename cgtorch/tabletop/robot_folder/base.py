@@ -10,12 +10,13 @@ from lxml import etree
 from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
+from cgtorch.tabletop.kinematics.origins import add_origin, words
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, at_rest, checked_urdf
 from cgtorch.tabletop.robot_folder.chains import lowest, slides_upright
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 FLOOR_LINK, STAND_LINK = "base_footprint", "stand"
-VIRTUAL = 2  # slides, or a slide and turns, of links without a body that are a virtual base
+VIRTUAL = 2  # slides, or a slide and turns, of links without shapes that are a virtual base
 FREE = "planar", "floating"
 PLACES = ("world", "map", "odom")
 """Names of root links that do not belong to the robot."""
@@ -126,16 +127,6 @@ def add_frame(root: Any, name: str, link: str, pose: Array, above: bool = False)
     etree.SubElement(joint, "child", link=link if above else name)
 
 
-def add_origin(joint: Any, pose: Array) -> None:
-    """Say where a joint holds its child at 0: at a pose (4, 4) in the frame of its parent."""
-    xyz, rpy = _words(pose[:3, 3].tolist()), _words(transformations.euler_from_matrix(pose, "sxyz"))
-    etree.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
-
-
-def _words(numbers: Sequence[float]) -> str:
-    return " ".join(repr(round(float(x), 9)) for x in numbers)
-
-
 def _unused(structure: Structure, name: str) -> str:
     while name in structure.below:
         name += "_added"
@@ -155,7 +146,7 @@ def _add_stand(root: Any, structure: Structure, floor: str, pose: Array, stand: 
     middle = transformations.translation_matrix([*(low + high)[:2] / 2, stand / 2])
     add_frame(root, _unused(structure, STAND_LINK), floor, middle)
     box = etree.SubElement(root.findall("link")[-1], "collision")
-    etree.SubElement(etree.SubElement(box, "geometry"), "box", size=_words(sides))
+    etree.SubElement(etree.SubElement(box, "geometry"), "box", size=words(sides))
 
 
 def _forward(structure: Structure, chains: list[list[Any]]) -> float:
@@ -187,10 +178,11 @@ def _limits(joint: Any) -> tuple[float, float]:
 def _without_virtual(structure: Structure, notes: list[str]) -> str:
     """The link below the joints by which a URDF lets its base drive.
 
-    These are level slides, and turns, or a joint that is free in the plane or in space.
+    These are level slides, and turns, or a joint that is free in the plane or in space. Their links
+    have no shapes, though they may have masses, which physics asks of what moves.
     """
     link, virtual = structure.base, list[Any]()
-    while len(structure.below[link]) == 1 and not _has_body(structure, link):
+    while len(structure.below[link]) == 1 and not len(structure.seen([link])):
         joint = structure.below[link][0]
         virtual += [joint] if joint.type in (*MOVING, *FREE) else []
         link = joint.child
@@ -202,8 +194,3 @@ def _without_virtual(structure: Structure, notes: list[str]) -> str:
     are = "is" if len(virtual) == 1 else "are"
     notes.append(f"{names} {are} taken for how the base drives, so that {link!r} is the base")
     return link
-
-
-def _has_body(structure: Structure, link: str) -> bool:
-    inertial = structure.urdf.link(link).inertial
-    return bool(len(structure.seen([link]))) or bool(inertial is not None and inertial.mass)

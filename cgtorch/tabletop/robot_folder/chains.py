@@ -19,7 +19,9 @@ from cgtorch.tabletop.robot_folder.structure import Array, Structure
 LEAST_JOINTS = 5  # of an arm, after the torso
 FEW_JOINTS = 4  # of an arm, where no chain with more is one
 FEWEST = 2  # joints of a chain after a body that make this body a torso
-HAND_JOINTS = 3  # before fingers of one joint; these are no arm, and neither is a finger after them
+HAND_JOINTS = 3
+"""Joints before fingers of one joint, alike, or called so. They are no arm, nor is a finger after
+them."""
 CLAW = 0.2  # of the length of an arm, that of claws of one joint beside each other at most
 PAIR = 0.5  # of it, that of such claws at most if one follows another
 TOLD = 3  # joints of a chain that is no arm from which it is told
@@ -130,6 +132,8 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
     else:
         path, far = structure.path(link), 0.0
         least = FEW_JOINTS if len(moved) > FEWEST else LEAST_JOINTS
+        if _named_or_alike(structure, moved):
+            least = HAND_JOINTS
         if all(depth_of(structure, joint) <= 1 for joint in moved):
             share = PAIR if _follow(moved) else CLAW
             least, far = HAND_JOINTS, share * _length(structure, path)
@@ -140,6 +144,14 @@ def _ends(structure: Structure, link: str) -> Iterator[tuple[str, bool]]:
         yield link, bool(fingers)
     for joint in further:
         yield from _ends(structure, joint.child)
+
+
+def _named_or_alike(structure: Structure, joints: list[Any]) -> bool:
+    """Whether what hangs from joints is called fingers, or is the same, with too few for an arm."""
+    if joints and all(NAMED.search(joint.name) for joint in joints):
+        return True
+    kinds = {(depth_of(structure, j), round(extent(structure, j.child), 3)) for j in joints}
+    return len(kinds) == 1 and max(kinds)[0] <= FEWEST
 
 
 def _follow(joints: list[Any]) -> bool:
@@ -259,9 +271,15 @@ def _legs(structure: Structure, long: list[Chain], every: list[Chain]) -> set[st
         return below | _from_base(long)
     hips = {chain.link for chain in stand if chain.shared}
     upper = [chain for chain in every if not chain.shared]
-    if len(hips) > 1 and upper and not below:
+    if len(hips) > 1 and not below and (upper or all(_leads_down(structure, c) for c in stand)):
         return hips
     return _from_base(long)
+
+
+def _leads_down(structure: Structure, chain: Chain) -> bool:
+    """Whether a chain begins below where its torso does, as a waist below the upper body."""
+    first, own = (structure.pose(j.child)[2, 3] for j in (chain.joints[0], chain.own[0]))
+    return bool(own < first - ON_FLOOR)
 
 
 def _on_wheels(structure: Structure, chain: Chain) -> bool:

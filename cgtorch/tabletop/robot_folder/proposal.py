@@ -31,6 +31,7 @@ from cgtorch.tabletop.robot_folder.structure import (
     open_fingers,
     tool_of,
 )
+from cgtorch.tabletop.robot_folder.turns import upright
 
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 LEAST_SIDE = 10.0  # mm of a footprint
@@ -228,7 +229,8 @@ def _arms(
             frame = f"{name}_tool_frame"
             while frame in structure.below:
                 frame += "_added"
-            add_frame(root, frame, tool.parent, tool.pose)
+            pose = upright(structure, chain, tool.parent, tool.pose)
+            add_frame(root, frame, tool.parent, pose)
             notes.append(f"arm {name!r}: the link {frame!r} was added {_where(tool)}")
         if not tool.fingers:
             notes.append(f"arm {name!r} has no fingers: it needs a gripper to grasp anything")

@@ -9,13 +9,21 @@ from torch import Tensor
 
 from cgtorch.tabletop.kinematics import Robot, graspable
 from cgtorch.tabletop.kinematics.clear_ways import POSTURE, ways_clear
-from cgtorch.tabletop.kinematics.grasping import APPROACHES, followed, places_of, waypoints
+from cgtorch.tabletop.kinematics.grasping import (
+    APPROACHES,
+    GRASP_HEIGHT,
+    followed,
+    places_of,
+    waypoints,
+)
 from cgtorch.tabletop.kinematics.urdf import MOVING, at_rest
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 DEPTH, WIDTH, HEIGHT = 0.8, 1.6, 0.75  # m, of the table on which a robot is tried
 OTHERS = (1.2, 0.9, 0.6, 0.45, 0.3, 0.15, 0.05)
 """Other heights (m), where nothing on that table is grasped."""
+BETWEEN = 12  # heights within those of an arm's tool, where nothing is grasped at these either
+POSTURES = 512  # random ones of an arm, by which it is seen how high its tool comes
 AHEAD = 0.05  # m from the footprint to that table
 TURNED = 60  # degrees from x at rest that are told
 SIDEWAYS = 0.2  # of an arm's length, how far it leads to the side at least to point somewhere
@@ -53,7 +61,7 @@ def reached(robot: Robot, stand: float = 0.0) -> Reached:
     if height is not None:
         most = int(graspable(robot, *_objects(robot, height)).sum())
         reason = "" if far else f"; {_hindered(robot, nearest, HEIGHT)}"
-        advice = _better(height, most, stand)
+        advice = _better(height, most, stand) + _lifted(robot, height)
     else:
         reason = f"; nor can it at any height from {min(OTHERS):g} to {max(OTHERS):g} m"
         suits = min((HEIGHT, *OTHERS), key=lambda height: abs(height - shoulder))
@@ -71,10 +79,40 @@ def _objects(robot: Robot, height: float) -> tuple[Tensor, Tensor]:
 
 def _better_height(robot: Robot) -> float | None:
     """The height at which most of a few objects can be grasped, m; None if none can."""
-    tables = [[part[list(FEW)] for part in _objects(robot, height)] for height in OTHERS]
+    return _best_of(robot, OTHERS) or _best_of(robot, _heights_of_tools(robot))
+
+
+def _best_of(robot: Robot, heights: tuple[float, ...]) -> float | None:
+    tables = [[part[list(FEW)] for part in _objects(robot, height)] for height in heights]
     every = graspable(robot, *(torch.cat(parts) for parts in zip(*tables, strict=True)))
-    counts = every.view(len(OTHERS), len(FEW)).sum(1)
-    return OTHERS[int(counts.argmax())] if counts.any() else None
+    counts = every.view(len(heights), len(FEW)).sum(1)
+    return heights[int(counts.argmax())] if counts.any() else None
+
+
+def _heights_of_tools(robot: Robot) -> tuple[float, ...]:
+    """Heights of tables, m, evenly over those on which an arm's tool comes to an object.
+
+    They are close to each other where an arm moves its tool up and down by little, as a SCARA.
+    """
+    rng, found = torch.Generator().manual_seed(0), list[Tensor]()
+    for arm in robot.arms:
+        lower, upper = arm.turn_limits
+        share = torch.rand(POSTURES, len(lower), generator=rng).to(lower)
+        found.append(arm.frames(lower + share * (upper - lower))[-1, :, 2, 3] - GRASP_HEIGHT)
+    ends = torch.cat(found).clamp(min(OTHERS), max(OTHERS)).aminmax()
+    return tuple(round(height, 2) for height in torch.linspace(*ends, BETWEEN).tolist())
+
+
+def _lifted(robot: Robot, height: float) -> str:
+    """Where the torso has the arms as high above a usual table as above one of some height."""
+    words = robot.description
+    if words.torso_joint is None or words.torso_position is None:
+        return ""
+    joint = robot.urdf.joint(words.torso_joint)
+    axis = Structure(robot.urdf, words.base_frame).pose(joint.child)[:3, :3] @ joint.axis
+    at = round(words.torso_position + math.copysign(1.0, axis[2]) * (HEIGHT - height), 2)
+    within = joint.limit is None or joint.limit.lower <= at <= joint.limit.upper
+    return f", or move its torso by --torso-position {at:g}" if within else ""
 
 
 def _better(height: float, count: int, stand: float) -> str:
@@ -90,8 +128,8 @@ def _hindered(robot: Robot, which: int, height: float) -> str:
     posed, clear, follows = _progress(robot, which, height)
     if not posed:
         return (
-            "no posture within the limits of the joints brings the tool frame to an object, so "
-            "correct the tool frame or the limits if that is wrong"
+            "no posture within the limits of the joints brings the tool frame to an object "
+            f"at {height:g} m, so correct the tool frame or the limits if that is wrong"
         )
     total = OBJECTS * len(APPROACHES)
     name = robot.arms[which].name

@@ -10,7 +10,8 @@ from typing import Any
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
 from cgtorch.tabletop.kinematics.description import Arm
-from cgtorch.tabletop.kinematics.urdf import MAX_BYTES, MOVING, Urdf, number, parsed
+from cgtorch.tabletop.kinematics.urdf import MAX_BYTES, MOVING, Urdf, parsed
+from cgtorch.tabletop.kinematics.valid import number
 from cgtorch.tabletop.robot_folder.chains import FEW_JOINTS
 
 ARMS = {"arm", "larm", "rarm", "manipulator"}

@@ -6,12 +6,11 @@ import numpy as np
 from lxml import etree
 from trimesh import transformations
 
+from cgtorch.tabletop.kinematics.origins import fix
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf
-from cgtorch.tabletop.robot_folder.base import add_origin
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 STILL = 5e-3  # rad or m: a joint of a smaller range hardly moves
-_OF_MOTION = ("axis", "limit", "dynamics", "safety_controller", "calibration")
 
 
 def without_still(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
@@ -33,10 +32,7 @@ def without_still(urdf: Urdf) -> tuple[Urdf, tuple[str, ...]]:
     root = etree.fromstring(urdf.xml)
     for element in root.findall("joint"):
         if (pose := still.get(element.get("name"))) is not None:
-            element.set("type", "fixed")
-            for old in element.xpath("|".join(("origin", *_OF_MOTION))):
-                element.remove(old)
-            add_origin(element, pose)
+            fix(element, pose)
     are = "is" if len(still) == 1 else "are"
     names = ", ".join(still)
     note = f"{names} {are} taken to be fixed, as the two limits are nearly the same"

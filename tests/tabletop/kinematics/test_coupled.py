@@ -120,12 +120,20 @@ def agrees_with_yourdfpy(robot, random_joints, generator):
         np.testing.assert_allclose(pose.numpy(), want, atol=1e-6)
 
 
-@pytest.mark.parametrize(("name", "leader"), [("level", "bend"), ("further", "level")])
-def test_a_joint_follows_one_before_it_that_follows_none(folder, name, leader):
-    rows = [(*row[:5], (leader, 1.0, 0.0)) if row[0] == name else row for row in ROWS]
-    message = f"arm 'arm' has the mimic joint {name!r}, which follows {leader!r}: use an arm of rev"
+def test_a_joint_follows_one_before_it(folder):
+    rows = [(*row[:5], ("bend", 1.0, 0.0)) if row[0] == "level" else row for row in ROWS]
+    message = "arm 'arm' has the mimic joint 'level', which follows 'bend': use an arm of rev"
     with pytest.raises(RobotError, match=message):
         read(folder, rows)
+
+
+def test_a_joint_may_follow_one_that_follows(folder):
+    rows = [(*row[:5], ("level", 2.0, 0.1)) if row[0] == "further" else row for row in ROWS]
+    (arm,) = read(folder, rows).arms
+    gains = arm.chain(arm.lower)[0].gains
+    assert gains[OWN_NAMES.index("lift")].tolist() == pytest.approx(
+        [0, 1, -0.6, 0, 0, -1.2, 0, 0, 0]
+    )
 
 
 @pytest.mark.parametrize("kind", ["planar", "floating"])

@@ -91,3 +91,9 @@ def test_limits_that_are_infinite_are_none(tmp_path):
     for kind, ends in (("revolute", 'lower="0" upper="inf"'), ("prismatic", every[7:32])):
         with pytest.raises(RobotError, match="give a finite number"):
             read(tmp_path, "", kind, f"<limit {ends}/>")
+
+
+@pytest.mark.parametrize("name", ["", ' name=""'])
+def test_a_robot_without_a_name_is_called_robot(tmp_path, name):
+    (tmp_path / "a.urdf").write_text(f'<robot{name}><link name="a"/></robot>')
+    assert load_urdf(tmp_path / "a.urdf").model.robot.name == "robot"

@@ -12,7 +12,8 @@ from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
-from cgtorch.tabletop.kinematics.fitted import _elements, _pose, _Reader, without_meshes
+from cgtorch.tabletop.kinematics.fitted import _elements, _Reader, without_meshes
+from cgtorch.tabletop.kinematics.origins import pose_of
 from cgtorch.tabletop.kinematics.shapes import Shape
 
 MESHES = mesh_robot.meshes()
@@ -108,15 +109,15 @@ def test_a_shape_is_written_with_its_place_and_sizes():
     (cylinder,) = _elements("visual", Shape("cylinder", pose, (0.1, 0.5)))
     read = cylinder.find("geometry/cylinder")
     assert (read.get("radius"), read.get("length")) == ("0.1", "0.5")
-    np.testing.assert_allclose(_pose(cylinder.find("origin")), pose, atol=1e-8)
+    np.testing.assert_allclose(pose_of(cylinder), pose, atol=1e-8)
     assert cylinder.find("origin").get("xyz") == "1.0 2.0 3.0"
     middle, *ends = _elements("collision", Shape("capsule", pose, (0.1, 0.5)))
     assert middle.find("geometry/cylinder").get("length") == "0.5"
     for end, z in zip(ends, (-0.25, 0.25), strict=True):
         assert end.find("geometry/sphere").get("radius") == "0.1"
         place = pose @ transformations.translation_matrix([0, 0, z])
-        np.testing.assert_allclose(_pose(end.find("origin"))[:3, 3], place[:3, 3], atol=1e-8)
-    np.testing.assert_array_equal(_pose(None), np.eye(4))
+        np.testing.assert_allclose(pose_of(end)[:3, 3], place[:3, 3], atol=1e-8)
+    np.testing.assert_array_equal(pose_of(etree.Element("visual")), np.eye(4))
 
 
 def test_a_file_is_fitted_once_for_each_scale(urdf, monkeypatch):

@@ -357,7 +357,7 @@ def test_files_by_their_path(world):
         "file:///etc/passwd",
         "/etc/passwd",
         "http://example.org/a.stl",
-        "model://arm_description/meshes/a.stl",
+        "model://../secret.stl",
         "\0",
         "",
         "x" * 5000,

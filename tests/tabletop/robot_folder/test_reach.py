@@ -130,9 +130,10 @@ def test_an_arm_that_points_elsewhere_at_rest_is_told_so(
 
 
 def test_where_no_height_helps_it_is_told_what_hinders_at_the_one_of_the_shoulder(
-    folder: Path, tmp_path: Path
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Here the hand is in the base while it drives, from where no way is clear."""
+    """Here the hand is in the base while it drives, from where hardly a way is clear."""
+    monkeypatch.setattr(reach, "_heights_of_tools", lambda robot: (HEIGHT,))
     home = dict(json.loads((folder / "robot.json").read_text())["home"])
     inside = dict.fromkeys(home, 0.0) | {n: 1.4 for n in home if n.startswith("lift")}
     found = reached(robot_with(folder, tmp_path / "blocked", SHOULDER, home=inside))
@@ -183,7 +184,7 @@ def test_an_arm_is_as_long_as_its_links_and_what_it_draws_out(
 
 ROBOT: Any = SimpleNamespace(
     arms=[SimpleNamespace(name="left"), SimpleNamespace(name="right")],
-    description=SimpleNamespace(footprint=(-0.3, 0.3, -0.2, 0.2)),
+    description=SimpleNamespace(footprint=(-0.3, 0.3, -0.2, 0.2), torso_joint=None),
 )
 """One of which no kinematics are asked."""
 
@@ -226,6 +227,7 @@ def graspable_at(*heights: float) -> Any:
 def test_a_better_height_is_that_of_most_objects(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reach, "graspable", graspable_at(0.45))
     assert _better_height(ROBOT) == 0.45
+    monkeypatch.setattr(reach, "_heights_of_tools", lambda robot: (HEIGHT,))
     monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] < 0)
     assert _better_height(ROBOT) is None
 
@@ -251,3 +253,48 @@ def test_the_nearest_arm_is_told_of_and_what_suits_it(
     table = torch.tensor(0.6)
     monkeypatch.setattr(reach, "graspable", lambda robot, position, of: of[:, 5] == table)
     assert reached(ROBOT, 0.2).why == f"the right one{why}; {stand} --stand 0.35"
+
+
+def test_heights_between_are_tried_before_none_is_said_to_suit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A band of 8 cm in which no usual height lies."""
+
+    def in_band(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
+        return (table[:, 5] > 0.49) & (table[:, 5] < 0.57)
+
+    monkeypatch.setattr(reach, "graspable", in_band)
+    monkeypatch.setattr(reach, "_heights_of_tools", lambda robot: (0.48, 0.5, 0.58))
+    assert _better_height(ROBOT) == 0.5
+    monkeypatch.setattr(reach, "_heights_of_tools", lambda robot: (0.48, 0.58))
+    assert _better_height(ROBOT) is None
+
+
+def test_heights_of_tools_are_those_to_which_the_arm_comes(folder: Path, tmp_path: Path) -> None:
+    heights = reach._heights_of_tools(robot_with(folder, tmp_path / "high", SHOULDER))
+    assert len(heights) == reach.BETWEEN
+    assert list(heights) == sorted(heights)
+    assert min(OTHERS) <= heights[0] < SHOULDER - LENGTH / 2 < heights[-1] <= max(OTHERS)
+
+
+@pytest.mark.parametrize(
+    ("axis", "at", "height", "said"),
+    [
+        ("0 0 1", 0.2, 0.6, ", or move its torso by --torso-position 0.35"),
+        ("0 0 -1", 0.2, 0.6, ", or move its torso by --torso-position 0.05"),
+        ("0 0 1", 0.2, 0.9, ", or move its torso by --torso-position 0.05"),
+        ("0 0 1", 0.5, 0.6, ""),
+        ("0 0 1", None, 0.6, ""),
+    ],
+)
+def test_a_torso_makes_up_for_a_height_within_its_limits(
+    tmp_path: Path, axis: str, at: float | None, height: float, said: str
+) -> None:
+    limit = LIMIT.replace('"-1"', '"0"').replace('"1"', '"0.6"', 1)
+    lift = joint("lift", "base", axis=axis, kind="prismatic", more=limit)
+    urdf = load_urdf(urdf_of(tmp_path, link("base"), link("lift"), lift))
+    words = SimpleNamespace(
+        base_frame="base", torso_joint=None if at is None else "lift_joint", torso_position=at
+    )
+    robot: Any = SimpleNamespace(urdf=urdf, description=words)
+    assert reach._lifted(robot, height) == said
