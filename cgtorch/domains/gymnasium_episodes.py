@@ -75,6 +75,15 @@ class Episodes:
         self._starts: dict[int, tuple[Any, NDArray[Any]]] = {}
 
     @property
+    def name(self) -> str:
+        """The name of the environment."""
+        return self._settings.environment
+
+    def anew(self) -> "Episodes":
+        """Episodes in other copies, which have played nothing yet; DomainError if none can be."""
+        return Episodes(self._settings)
+
+    @property
     def modes(self) -> Any:
         """The ways in which the environment can be drawn."""
         told = next(iter(self._having.values())).metadata or {}
