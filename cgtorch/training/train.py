@@ -34,6 +34,7 @@ from cgtorch.runs.journal import FOLDER, forget, journal_of
 from cgtorch.runs.log import history_of, read_log
 from cgtorch.runs.storage import load_progress, save_progress
 from cgtorch.runs.stored_run import AUTO, SKILL, StoredRun
+from cgtorch.runs.writer import place_now
 from cgtorch.training.advice import about_search
 from cgtorch.training.context import Training, for_means
 from cgtorch.training.deadline import deadline
@@ -239,8 +240,8 @@ def _best_at_hand(training: Training, name: str, tally: Tally) -> Iterator[None]
         run, skill, fittest = training.run, tally.skill, tally.champion
         if skill is None and fittest is not None:
             skill = Skill(name, merged(fittest.graphs), run.actions, run.settings.max_transitions)
-        if skill is not None and ranks.first():
-            folder = run.folder / FOLDER / name
+        if skill is not None and ranks.first() and (place := place_now(run.folder)):
+            folder = place / FOLDER / name
             with writing(folder):
                 folder.mkdir(parents=True, exist_ok=True)
             save_skill(folder / SKILL, skill)
