@@ -81,9 +81,9 @@ def run_command(command: click.Command) -> None:
         _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
     except OSError as e:
         name_of = os.fsdecode(e.filename) if isinstance(e.filename, bytes) else e.filename
-        where = f" {str(name_of)[:200]!r}" if name_of else ""
+        where = repr(str(name_of)[:200]) if name_of else "its output or a file"
         reason = e.strerror or type(e).__name__
-        _end(name, f"cannot read or write{where} ({reason}); check the path and the disk", 2)
+        _end(name, f"cannot read or write {where} ({reason}); check the path and the disk", 2)
     except (Exception, SystemExit) as e:
         _end_if_known(name, e)
         raise

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import torch
 from torch import Generator
 
-from cgtorch.domains.domain import Domain
+from cgtorch.domains.domain import Domain, Timed
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError, RunError, SettingsError
 from cgtorch.ground.files import whole_folder
@@ -218,8 +218,11 @@ def _improved(
 def _not_improved(training: Training, missing: str) -> NotImprovedError:
     """The error of stages without a skill, which says what was too little."""
     if training.purse.late():
+        domain = training.run.domain
+        pace = f" ({domain.pace()})" if isinstance(domain, Timed) and domain.pace() else ""
         return NotImprovedError(
-            f"the time was over before stage {missing} had a skill; give more (minutes, --minutes)"
+            f"the time was over before stage {missing} had a skill{pace}; give more (minutes, "
+            "--minutes)"
         )
     said = f"stage {missing} found no skill that keeps W and solves more"
     searched = searched_of(read_log(training.run.folder), missing)
