@@ -21,7 +21,7 @@ import click
 from cgtorch.commands import completion
 from cgtorch.commands.aside import foreign_reason, tell_in_lines
 from cgtorch.ground.ending import end_in_time
-from cgtorch.ground.errors import CgtorchError, RunError, WorldError, printable
+from cgtorch.ground.errors import CgtorchError, WorldError, printable
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -81,9 +81,9 @@ def run_command(command: click.Command) -> None:
         _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
     except OSError as e:
         name_of = os.fsdecode(e.filename) if isinstance(e.filename, bytes) else e.filename
-        where = f" {str(name_of)[:200]!r}" if name_of else ""
+        where = repr(str(name_of)[:200]) if name_of else "its output or a file"
         reason = e.strerror or type(e).__name__
-        _end(name, f"cannot read or write{where} ({reason}); check the path and the disk", 2)
+        _end(name, f"cannot read or write {where} ({reason}); check the path and the disk", 2)
     except (Exception, SystemExit) as e:
         _end_if_known(name, e)
         raise
@@ -237,27 +237,6 @@ world_option = click.option(
     help="The world to try the skill in. The tabletop has kinematic and mujoco (physics)."
     "  [that of the run]",
 )
-force_option = click.option("--force", is_flag=True, help="Replace the file if it exists.")
-
-
-def output_option(what: str) -> Callable[[F], F]:
-    """Decorator: the option for the file or folder to write."""
-    return click.option("--output", type=A_PATH, required=True, help=what)
-
-
-def check_output(output: Path, force: bool) -> None:
-    """RunError if the output is a folder, is in none, or is a file that must not be replaced."""
-    if output.is_dir():
-        raise RunError(f"{str(output)!r} is a folder; choose another --output")
-    if not output.parent.is_dir():
-        raise RunError(
-            f"{str(output.parent)!r} is no folder, so {str(output)!r} cannot be written; "
-            "make it, or choose another --output"
-        )
-    if output.exists() and not output.is_file():
-        raise RunError(f"{str(output)!r} is a device or a pipe; choose another --output")
-    if output.exists() and not force:
-        raise RunError(f"{str(output)!r} exists; choose another --output or add --force")
 
 
 def a_number(context: click.Context, parameter: click.Parameter, value: Any) -> Any:

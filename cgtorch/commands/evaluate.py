@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgtorch.commands import common
+from cgtorch.commands import common, outputs
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.statistics import wilson
 
@@ -57,6 +57,7 @@ Examples:
     "causes, its way through the graph, what Γ and C say, and a film where the domain can draw, "
     "and what to change.",
 )
+@outputs.force_option
 def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **rest: Any) -> None:
     """Try a skill in the world on fresh scenarios and print succeeded / tried.
 
@@ -67,6 +68,8 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     a skill file. A skill file is tried in its domain's default world; for the tabletop this has
     the built-in PR2.
     """
+    if rest["picture"]:
+        outputs.check_output(rest["picture"], rest["force"], path, "--picture")
     if rest["failures"]:
         common.draw_without_display()
     with common.importing():

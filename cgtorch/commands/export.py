@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from cgtorch.commands import common
+from cgtorch.commands import common, outputs
 from cgtorch.commands.completion import SCENARIOS, one_of
 
 EXAMPLES = """\b
@@ -37,7 +37,7 @@ ENDS = {"module": (".pt2",), "data": (".csv", ".parquet")}
     "mermaid: drawings as text; data: all transitions and tests of the run as a table, CSV or "
     "Parquet, for cgtorch-train --data.",
 )
-@common.output_option("The file to write.")
+@outputs.output_option("The file to write.")
 @common.skill_option
 @common.domain_option
 @click.option(
@@ -46,14 +46,14 @@ ENDS = {"module": (".pt2",), "data": (".csv", ".parquet")}
     help="For a skill file: the kind of scenarios that the skill was evolved on. It decides what "
     "the percept contains.  [the domain's usual kind]",
 )
-@common.force_option
+@outputs.force_option
 def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **about: Any) -> None:
     """Write a skill in a format that other programs read or run, without cgtorch.
 
     RUN_OR_SKILL is the folder of a run (its last skill is taken), the folder of a stage in it, or
     a skill file.
     """
-    common.check_output(output, force)
+    outputs.check_output(output, force, path)
     ends = ENDS.get(form, (output.suffix,))
     if output.suffix not in ends:
         raise click.UsageError(

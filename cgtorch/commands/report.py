@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from cgtorch.commands import common
+from cgtorch.commands import common, outputs
 from cgtorch.commands.completion import runs_or_skills
 
 EXAMPLES = """\b
@@ -18,9 +18,9 @@ Examples:
 
 @common.command("cgtorch-report", EXAMPLES)
 @click.argument("run", metavar="RUN", type=common.A_PATH, shell_complete=runs_or_skills)
-@common.output_option("The HTML file to write.")
+@outputs.output_option("The HTML file to write.")
 @common.domain_option
-@common.force_option
+@outputs.force_option
 def command(
     run: Path, output: Path, domain: str | None, actions: tuple[str, ...], force: bool, quiet: bool
 ) -> None:
@@ -32,7 +32,7 @@ def command(
     tried again on fresh scenarios, to show where it fails, and why. For an unfinished run, the page
     says which parts are missing.
     """
-    common.check_output(output, force)
+    outputs.check_output(output, force, run)
     common.draw_without_display()
     import torch
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgtorch.commands import common
+from cgtorch.commands import common, outputs
 from cgtorch.ground.errors import RunError, SettingsError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ NO_JOINT = "none"
 
 @common.command("cgtorch-robot", EXAMPLES)
 @click.argument("urdf", metavar="URDF", type=common.A_PATH)
-@common.output_option("The robot folder to make; it must not exist yet.")
+@outputs.output_option("The robot folder to make; it must not exist yet.")
 @click.option(
     "--package-path",
     multiple=True,

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from rich.console import Console
@@ -129,7 +130,7 @@ def _before(work: Work) -> Iterator[str]:
         yield "  1. Evolve skills in the world itself; no models are learned."
         yield "  2. Accept a skill if it forgets nothing and solves something new."
     yield f"  {takes} Progress appears here, and in TensorBoard:"
-    yield f"    tensorboard --logdir {run.folder}"
+    yield f"    tensorboard --logdir {_quoted(run)}"
     yield f"  Ctrl-C stops the run, and this command continues it: {_resuming(run)}"
 
 
@@ -152,7 +153,7 @@ def _end(work: Work, results: list[dict[str, Any]]) -> str:
 
 def _after(work: Work) -> Iterator[str]:
     """Whether the last skill has each additional action, and what to look at next."""
-    run, code = work.run, _code(work.run)
+    run, folder, code = work.run, _quoted(work.run), _code(work.run)
     if added := set(run.actions.names) - set(run.domain.actions().names):
         _, skill = last_skill(run.folder, run.settings.actions, run.settings.domain)
         for name in sorted(added):
@@ -163,10 +164,10 @@ def _after(work: Work) -> Iterator[str]:
                 "--seed may."
             )
     yield "Next:"
-    yield f"  cgtorch-evaluate {run.folder}{code}  # try the skill on fresh scenarios"
+    yield f"  cgtorch-evaluate {folder}{code}  # try the skill on fresh scenarios"
     if not run.settings.driver:
-        yield f"  cgtorch-view {run.folder}{code}  # watch it at work in the browser"
-    yield f"  cgtorch-report {run.folder}{code} --output report.html  # the run, and where it fails"
+        yield f"  cgtorch-view {folder}{code}  # watch it at work in the browser"
+    yield f"  cgtorch-report {folder}{code} --output report.html  # the run, and where it fails"
     later = [name for name in run.domain.stages if name not in run.stages]
     if later and not work.auto:
         yield f"  {_resuming(run)} --stage {later[-1]}  # more stages"
@@ -174,12 +175,18 @@ def _after(work: Work) -> Iterator[str]:
 
 def _resuming(run: StoredRun) -> str:
     """The command that continues a run."""
-    driver = f" --driver {run.settings.driver}" if run.settings.driver else ""
-    return f"cgtorch-train --resume {run.folder}{_code(run)}{driver}"
+    driver = f" --driver {quote(run.settings.driver)}" if run.settings.driver else ""
+    return f"cgtorch-train --resume {_quoted(run)}{_code(run)}{driver}"
+
+
+def _quoted(run: StoredRun) -> str:
+    """The folder of a run as a word of a shell."""
+    return quote(str(run.folder))
 
 
 def _code(run: StoredRun) -> str:
     """The options that name the user's code of a run, as opening a run imports none by itself."""
     spec = run.settings.domain
-    domain = f" --domain {spec}" if is_code(spec) else ""
-    return domain + "".join(f" --actions {name}" for name in run.settings.actions if ":" in name)
+    domain = f" --domain {quote(spec)}" if is_code(spec) else ""
+    own = (name for name in run.settings.actions if ":" in name)
+    return domain + "".join(f" --actions {quote(name)}" for name in own)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cgtorch.commands import common
+from cgtorch.commands import common, outputs
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.ground.errors import SettingsError
 
@@ -55,6 +55,7 @@ Examples:
     help="Write an animated picture (.gif or .webp) of the skill on the first scenario instead, "
     "and exit. Any domain that can draw has one; the tabletop has it in physics.",
 )
+@outputs.force_option
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @common.number_option(
     "--port",
@@ -141,6 +142,7 @@ def _film(
     """Write an animated picture of a skill."""
     if film.suffix not in (".gif", ".webp"):
         raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
+    outputs.check_output(film, rest["force"], path, "--film")
     common.draw_without_display()
     with common.importing():
         import torch

@@ -1,5 +1,6 @@
 """Dry run of a domain on two scenarios, with errors that name the faulty method."""
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,9 +26,18 @@ from cgtorch.ground.dry_run import (
     what_differs,
     what_is_shared,
 )
-from cgtorch.ground.environment import Environment, Rewarded, ScenarioBatch, start_lanes
+from cgtorch.ground.environment import (
+    Counting,
+    Environment,
+    Episodic,
+    Named,
+    Rewarded,
+    ScenarioBatch,
+    start_lanes,
+)
 from cgtorch.ground.errors import ActionError, DomainError
-from cgtorch.ground.fields import Field
+from cgtorch.ground.fields import Field, bounds_of
+from cgtorch.ground.whole_episode import SECONDS, STEPS, what_differs_late
 
 
 def check_domain(domain: Domain[Any], scenarios: str) -> bool:
@@ -49,22 +59,20 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
             f"{who}.draw gave other scenarios for the same generator; draw all numbers from it"
         )
     world: Environment = returned(DomainError, f"{who}.world", domain.world, drawn[1])
+    began = time.monotonic()
     check_environment(world)
+    slow = time.monotonic() - began > SECONDS
     if isinstance(world, Rewarded):
         _check_rewards(world, who)
-    differs = what_differs(world) if domain.repeats else "it is said not to repeat itself"
+    differs = _differs(domain, world, who, slow)
     if isinstance(world, Rewarded) and differs:
+        what = f"{who} gives rewards, and its world"
+        advice = "noise belongs to a scenario, so draw it in Domain.draw"
+        if isinstance(world, Named):
+            what, advice = world.what, world.advice
         raise DomainError(
-            f"{who} gives rewards, and its world gave something else when it was called twice with "
-            f"the same arguments ({differs}); noise belongs to a scenario, so draw it in "
-            "Domain.draw, or in an environment of Gymnasium from self.np_random, and keep nothing "
-            "of an earlier episode"
-        )
-    if not differs and (shared := what_is_shared(world)):
-        raise DomainError(
-            f"{who}'s world showed something else when its scenarios began in another order "
-            f"({shared}); let what one scenario does change nothing in another one, and keep no "
-            "state in classes or modules, or from one episode to the next"
+            f"{what} gave something else when it was called twice with the same arguments "
+            f"({differs}); {advice}, and keep nothing of an earlier episode"
         )
     for name, size in (("percept", world.percept_size), ("control", world.control_size)):
         if (given := len(getattr(domain, name))) != size:
@@ -79,6 +87,37 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
     if not isinstance(actions, ActionSet):
         raise DomainError(f"{who}.actions returned {kind(actions)}; return an ActionSet")
     return not differs
+
+
+def _differs(domain: Domain[Any], world: Environment, who: str, slow: bool) -> str:
+    """What a world shows otherwise when it is called again, or "".
+
+    DomainError if an episode changes another one.
+    """
+    if not domain.repeats:
+        return "it is said not to repeat itself"
+    if differs := what_differs(world):
+        return differs
+    shared, left = what_is_shared(world), ""
+    if not shared and isinstance(world, Episodic) and not isinstance(world, Counting):
+        differs, left = what_differs_late(world, _controls(domain), slow)
+    if (shared or left) and not differs:
+        what = world.what if isinstance(world, Named) else f"{who}'s world"
+        how = "when its scenarios began in another order" if shared else "in a second episode"
+        raise DomainError(
+            f"{what} showed something else {how} ({shared or left}); let what one scenario does "
+            "change nothing in another one, and keep no state in classes or modules, or from one "
+            "episode to the next"
+        )
+    return differs
+
+
+def _controls(domain: Domain[Any]) -> torch.Tensor:
+    """(N, U) random controls of an episode, within bounds as far as there are any."""
+    generator, (low, high) = Generator().manual_seed(0), bounds_of(domain.control)
+    shape = STEPS, len(low)
+    within = low + (high - low) * torch.rand(shape, generator=generator)
+    return torch.where(within.isfinite(), within, torch.randn(shape, generator=generator))
 
 
 def _check_names(domain: Domain[Any], who: str) -> None:

@@ -150,6 +150,14 @@ class Surveyed(Protocol):
 
 
 @runtime_checkable
+class Timed(Protocol):
+    """A domain that tells how long its world takes."""
+
+    def pace(self) -> str:
+        """How long, such as "a step took 0.2 s in the mean"; "" if nothing is known yet."""
+
+
+@runtime_checkable
 class Sparing(Protocol):
     """A domain that can do without steps in its world which it would take to know it better."""
 

@@ -26,7 +26,6 @@ from cgtorch.domains.gymnasium_film import MODE
 from cgtorch.domains.gymnasium_limits import bounds_of_percepts
 from cgtorch.domains.gymnasium_models import GymnasiumModels
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_spaces import UNFIT
 from cgtorch.domains.gymnasium_world import (
     GymnasiumWorld,
     PlayedWorld,
@@ -95,7 +94,8 @@ class EpisodePictures(Pictures["Gymnasium"]):
         """See `Pictures.remarks`."""
         found, left_out = self.domain.known.remark, self.domain.episodes.percepts.left_out
         unasked = left_out and not self.domain.settings.percepts
-        lacks = f"Percepts lack {', '.join(left_out)}, which has {UNFIT}."
+        each = " and ".join(f"{name}, which has {what}" for name, what in left_out.items())
+        lacks = f"Percepts lack {each}."
         copies, why = self.domain.episodes.most, self.domain.episodes.lacking
         few = f"Only {copies} at once of the environment could be made, which is slow: {why}"
         told = (found, found), (unasked, lacks), (why, few)
@@ -198,6 +198,10 @@ class Gymnasium(Domain[Starts]):
             target, scaling = self._target() or 0.0, self._scaled_by_bounds()
             return SparingGymnasium(self.settings, Known(scaling, target=target))
         return self if self.known.success else SparingGymnasium(self.settings, self.known)
+
+    def pace(self) -> str:
+        """See `Timed.pace`."""
+        return self.episodes.pace()
 
     def _scaled_by_bounds(self) -> Scaling:
         """The scaling of numbers by their bounds, and of others by a few short random episodes."""

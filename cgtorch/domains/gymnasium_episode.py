@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Any
 from zlib import crc32
 
@@ -29,11 +30,26 @@ FORMS = {
 
 
 @dataclass
+class Took:
+    """How often an environment was called, for how many seconds in all, and at most."""
+
+    calls: int = 0
+    seconds: float = 0.0
+    longest: float = 0.0
+
+    def add(self, seconds: float) -> None:
+        """Count one more call."""
+        self.calls += 1
+        self.seconds += seconds
+        self.longest = max(self.longest, seconds)
+
+
+@dataclass
 class Episode:
     """One episode in progress, which is over after at most `limit` steps.
 
     Observations are given as the numbers (D,) of `percepts`. `keys` identify the sequence of
-    actions that led to each step; the first is that of the start.
+    actions that led to each step; the first is that of the start. `took` is how long calls took.
     """
 
     name: str
@@ -43,6 +59,7 @@ class Episode:
     limit: float = math.inf
     actions: list[Any] = field(default_factory=list)
     keys: list[int] = field(default_factory=list)
+    took: Mapping[str, Took] = field(default_factory=lambda: {name: Took() for name in METHODS})
 
     def begin(self) -> NDArray[Any]:
         """Start again; returns the first observation. WorldError as for `play`."""
@@ -97,6 +114,7 @@ class Episode:
 
     def _asked(self, method: str, call: Callable[[], Any]) -> tuple[Any, ...]:
         """What a method returns, its first part as numbers; WorldError if it has another form."""
+        began = perf_counter()
         try:
             found = surroundings.call(call)
         except (CgtorchError, KeyboardInterrupt):
@@ -106,6 +124,7 @@ class Episode:
             inside = place or not isinstance(e, TypeError)
             advice = "correct it there" if inside else f"declare it as {METHODS[method]}"
             raise WorldError(f"{self.where} raised {reason(e)}{place}; {advice}") from e
+        self.took[method].add(perf_counter() - began)
         parts, form = FORMS[method]
         if not isinstance(found, tuple) or len(found) != parts:
             raise WorldError(f"{self.where} returned {kind(found)}; Gymnasium expects {form}")

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cgtorch.domains.gymnasium_episode import Episode
+from cgtorch.domains.gymnasium_episode import METHODS, Episode, Took
 from cgtorch.domains.gymnasium_film import Filmed
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of, tried
@@ -67,6 +67,7 @@ class Episodes:
         first, self._limit, self.threshold = self._made()
         self._having = {0: first}  # the environments of episodes, the last one used last
         self._played = dict[int, Episode]()
+        self._took = {method: Took() for method in METHODS}
         name, self.actions = settings.environment, _space(first, "action_space")
         seen = _space(first, "observation_space")
         self.percepts = percepts_of(seen, settings.percepts, name)
@@ -75,10 +76,29 @@ class Episodes:
         self._starts: dict[int, tuple[Any, NDArray[Any]]] = {}
 
     @property
+    def name(self) -> str:
+        """The name of the environment."""
+        return self._settings.environment
+
+    def anew(self) -> "Episodes":
+        """Episodes in other copies, which have played nothing yet; DomainError if none can be."""
+        return Episodes(self._settings)
+
+    @property
     def modes(self) -> Any:
         """The ways in which the environment can be drawn."""
         told = next(iter(self._having.values())).metadata or {}
         return told.get("render_modes") or ()
+
+    def pace(self) -> str:
+        """How long a reset and a step took in this process; "" before any."""
+        each = " and ".join(
+            f"a {name} took {took.seconds / took.calls:.2g} s in the mean, {took.longest:.2g} s at "
+            "most"
+            for name, took in self._took.items()
+            if took.calls
+        )
+        return f"in environment {self.name!r}, {each}" if each else ""
 
     def film(self, width: int) -> Filmed:
         """Have the first environment filmed, of which no other is then needed."""
@@ -146,7 +166,7 @@ class Episodes:
     def _begun(self, slot: int, seed: int) -> NDArray[Any]:
         """Begin an episode; returns its first percept."""
         about = self._settings.environment, self._environment(slot), self.percepts
-        self._played[slot] = Episode(*about, seed, self._limit)
+        self._played[slot] = Episode(*about, seed, self._limit, took=self._took)
         return self._played[slot].begin()
 
     def _environment(self, slot: int) -> Any:
@@ -209,7 +229,7 @@ def _refusal(name: str, error: Exception, forked: bool) -> DomainError:
     place = failed_at(error)
     advice = "correct it there" if place else "correct that first"
     if isinstance(error, UnregisteredEnv | ImportError) and not place:
-        advice = "is it spelt right, its package installed, and its module given (module:ENV_ID)?"
+        advice = _not_found(name, error)
     if isinstance(error, TypeError) and " argument" in str(error):
         advice = "does it have these keywords, or need others (--env NAME=VALUE)?"
     if forked:
@@ -217,6 +237,19 @@ def _refusal(name: str, error: Exception, forked: bool) -> DomainError:
     return DomainError(
         f"Gymnasium cannot make environment {name!r} ({reason(error)}){place}; {advice}"
     )
+
+
+def _not_found(name: str, error: Exception) -> str:
+    """What to do about an environment that is not registered, or whose module is not found."""
+    if "No module named 'gym'" in str(error):
+        return "port it from gym to its successor (import gymnasium as gym, and its interface)"
+    module, _, own = name.rpartition(":")
+    if module and not isinstance(error, ImportError):
+        return (
+            f"module {module!r} was imported and does not register {own!r}; is it spelt right, and "
+            "does the module call gymnasium.register(id=..., entry_point=...)?"
+        )
+    return "is it spelt right, its package installed, and its module given (module:ENV_ID)?"
 
 
 def _close(environments: list[tuple[int, Any]]) -> None:

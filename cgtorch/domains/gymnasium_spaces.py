@@ -1,7 +1,7 @@
 """Spaces of Gymnasium as fields: the numbers of observations, and actions from numbers."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -34,9 +34,6 @@ class Part:
         for key in self.keys:
             value = value[key]
         return value
-
-
-UNFIT = f"no fixed numbers, or more than {MANY:,}"
 
 
 def parts_of(space: Any, whole: str, name: str = "", keys: tuple[Any, ...] = ()) -> list[Part]:
@@ -76,6 +73,11 @@ def _size(space: Any) -> int:
         return 0
 
 
+def _unfit(space: Any) -> str:
+    """What numbers a space has that gives none, or too many."""
+    return f"more than {MANY:,} numbers" if _size(space) > MANY else "no fixed numbers"
+
+
 def _numbers(part: Part) -> list[str] | None:
     """The names of the numbers of a part, as Gymnasium flattens it; None for none or too many."""
     from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete
@@ -101,13 +103,13 @@ class Percepts:
         fields: The D numbers.
         parts: The parts of an observation that have numbers.
         columns: Which of their numbers are taken; all if None.
-        left_out: The names of the parts without numbers.
+        left_out: The names of the parts without numbers, and what each has.
     """
 
     fields: tuple[Field, ...]
     parts: tuple[Part, ...]
     columns: NDArray[Any] | None
-    left_out: tuple[str, ...]
+    left_out: Mapping[str, str]
 
     @cached_property
     def _sizes(self) -> tuple[tuple[Part, int | None], ...]:
@@ -149,7 +151,7 @@ def percepts_of(space: Any, patterns: Sequence[str], environment: str) -> Percep
     every = parts_of(space, "observation")
     named = [(part, _numbers(part)) for part in every]
     names = [(part.name, name) for part, found in named for name in found or ()]
-    left_out = tuple(part.name for part, found in named if found is None)
+    left_out = {part.name: _unfit(part.space) for part, found in named if found is None}
     taken = set[int]()
     for pattern in patterns:
         hits = {i for i, both in enumerate(names) if any(_matches(pattern, n) for n in both)}
@@ -160,7 +162,8 @@ def percepts_of(space: Any, patterns: Sequence[str], environment: str) -> Percep
     if not columns:
         raise DomainError(
             f"environment {environment!r} has observations {space!s:.200}, and these have "
-            f"{UNFIT}; wrap it (--wrappers)"
+            f"{' or '.join(dict.fromkeys(left_out.values())) or _unfit(space)}; wrap it "
+            "(--wrappers)"
         )
     return Percepts(
         fields=tuple(Field(names[i][1]) for i in columns),
@@ -174,13 +177,15 @@ def _matches(pattern: str, name: str) -> bool:
     return pattern == name or fnmatchcase(name, pattern)
 
 
-def _no_percepts(pattern: str, environment: str, parts: list[Part], left_out: Sequence[str]) -> str:
+def _no_percepts(
+    pattern: str, environment: str, parts: list[Part], left_out: Mapping[str, str]
+) -> str:
     """The message about a pattern that matches no number."""
     for part in parts:
         if part.name in left_out and _matches(pattern, part.name):
             return (
                 f"percepts {pattern!r:.60}: {part.name} of environment {environment!r} is "
-                f"{part.space!s:.80}, which has {UNFIT}; leave it out"
+                f"{part.space!s:.80}, which has {left_out[part.name]}; leave it out"
             )
     names = [part.name for part in parts if part.name not in left_out]
     shown = ", ".join(names[:LISTED]) + (", …" if len(names) > LISTED else "")

@@ -2,8 +2,9 @@
 
 from abc import ABC, abstractmethod
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -61,6 +62,10 @@ class GymnasiumWorld(ABC):
     """An `Environment` of B starts; states begin with steps, return, and whether over."""
 
     frugal = True  # as steps are what searches are compared by
+    advice = (
+        "draw all random numbers from self.np_random, which super().reset(seed=seed) seeds anew, "
+        "keep nothing in a class or module"
+    )
 
     def __init__(self, episodes: Episodes, seeds: Tensor, scaling: Scaling) -> None:
         """The world of starts with seeds (B,)."""
@@ -78,6 +83,15 @@ class GymnasiumWorld(ABC):
     @abstractmethod
     def _play(self, state: Tensor, control: NDArray[Any]) -> tuple[Tensor, NDArray[Any]]:
         """The states (n, S) after controls (n, U), and percepts (n, D) that are not scaled."""
+
+    @property
+    def what(self) -> str:
+        """See `Named.what`."""
+        return f"environment {self._episodes.name!r}"
+
+    def begun_by(self, scenario: int) -> str:
+        """See `Named.begun_by`."""
+        return f"after reset(seed={int(self._seeds[scenario])})"
 
     @property
     def num_scenarios(self) -> int:
@@ -145,6 +159,12 @@ class Played(GymnasiumWorld):
     def most_lanes(self) -> int:
         """See `Bounded.most_lanes`."""
         return self._episodes.most
+
+    def anew(self) -> Self:
+        """See `Copied.anew`; DomainError if there can be no more copies."""
+        made = copy(self)
+        made._episodes = self._episodes.anew()
+        return made
 
     def start(self, scenario: Tensor) -> tuple[Tensor, Tensor]:
         """See `Environment.start`."""

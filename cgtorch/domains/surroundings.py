@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TextIO
 
 import torch
@@ -26,20 +27,18 @@ class _Surroundings:
         self.depth, self.modules = sys.getrecursionlimit(), tuple(sys.path)
 
     def call(self, code: Callable[[], Any]) -> Any:
-        """The result of foreign code, called in the folder where it last was."""
-        try:
-            here = os.getcwd()
-        except FileNotFoundError:  # it was deleted
-            here = ""
+        """The result of foreign code, called in the folder where it last was, if that is there."""
+        here = _folder()
         if here and self.folder:
-            os.chdir(self.folder)
+            with suppress(FileNotFoundError):
+                os.chdir(self.folder)
         streams, learns = (sys.stdout, sys.stderr), torch.is_grad_enabled()
         try:
             return code()
         finally:
             self._restore(streams, learns)
             if here:
-                self.folder = os.getcwd()
+                self.folder = _folder()
                 if self.folder == here:
                     self.folder = ""
                 else:
@@ -56,6 +55,14 @@ class _Surroundings:
             sys.setrecursionlimit(self.depth)
         if len(sys.path) < len(self.modules):
             sys.path += [each for each in self.modules if each not in sys.path]
+
+
+def _folder() -> str:
+    """The working folder; "" if it was deleted."""
+    try:
+        return os.getcwd()
+    except FileNotFoundError:
+        return ""
 
 
 def _open(stream: TextIO, number: int) -> TextIO:

@@ -56,6 +56,7 @@ class Purse:
         exhausted: Whether something was refused.
         until: When no further action may begin, on the clock of `time.monotonic`.
         settled: Whether a search has its result, so that nothing is left to break off.
+        telling: Whether something is being told, which is not broken off.
     """
 
     limits: Mapping[str, float] = field(default_factory=dict)
@@ -63,6 +64,7 @@ class Purse:
     exhausted: bool = False
     until: float = inf
     settled: bool = False
+    telling: bool = False
 
     def late(self, grace: float = 0.0) -> bool:
         """Whether the time has been over for so many seconds, by the clock of the first rank."""

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cgtorch.ground.environment import Environment, Lanes, Rewarded, start_lanes
+from cgtorch.ground.environment import Environment, Lanes, Named, Rewarded, start_lanes
 from cgtorch.ground.errors import CgtorchError, DomainError, WorldError
 
 ROWS = 2
@@ -158,7 +158,7 @@ def what_differs(environment: Environment) -> str:
     """What a checked environment shows otherwise when it is called again, or "" if nothing does."""
     name = type(environment).__name__
     once, again = (returned(WorldError, name, _shown, environment) for _ in range(2))
-    return _first_difference(once, again, 0.0)
+    return first_difference(environment, once, again, 0.0)
 
 
 def what_is_shared(environment: Environment) -> str:
@@ -170,18 +170,29 @@ def what_is_shared(environment: Environment) -> str:
     orders = (False, 1), (True, 1)
     once, turned = (returned(WorldError, name, _shown, environment, *order) for order in orders)
     back = {what: numbers.flip(0) for what, numbers in turned.items()}
-    return _first_difference(once, back, LITTLE)
+    return first_difference(environment, once, back, LITTLE)
 
 
-def _first_difference(one: dict[str, Tensor], other: dict[str, Tensor], rounded: float) -> str:
+def first_difference(
+    environment: Environment, one: dict[str, Tensor], other: dict[str, Tensor], rounded: float
+) -> str:
     """The first of results by name that differ by more than a share, else ""."""
     for what, numbers in one.items():
-        a, b = (each.double().nan_to_num().view(ROWS, -1) for each in (numbers, other[what]))
+        a, b = (
+            each.double().nan_to_num().flatten(1) for each in map(_rows, (numbers, other[what]))
+        )
         wrong = ((a - b).abs() > rounded * torch.maximum(a.abs(), b.abs()).clamp(min=1)).nonzero()
         if len(wrong):
             row, column = wrong[0].tolist()
-            return f"{what.format(column + 1)}: {float(a[row, column])} and {float(b[row, column])}"
+            where = f" {environment.begun_by(row)}" if isinstance(environment, Named) else ""
+            values = f"{float(a[row, column])} and {float(b[row, column])}"
+            return f"{what.format(column + 1)}{where}: {values}"
     return ""
+
+
+def _rows(numbers: Tensor) -> Tensor:
+    """Numbers (n,) as (n, 1), others as they are."""
+    return numbers[:, None] if numbers.dim() == 1 else numbers
 
 
 def _shown(

@@ -262,6 +262,34 @@ class Frugal(Protocol):
 
 
 @runtime_checkable
+class Named(Protocol):
+    """An environment that messages name in its user's words, such as "environment 'Mine-v0'".
+
+    `advice` says what to do so that it shows the same again.
+    """
+
+    advice: str
+
+    @property
+    def what(self) -> str:
+        """What it is."""
+        ...
+
+    def begun_by(self, scenario: int) -> str:
+        """How a scenario begins, such as "after reset(seed=7)"."""
+        ...
+
+
+@runtime_checkable
+class Copied(Protocol):
+    """An environment whose lanes are copies of something that keeps its state."""
+
+    def anew(self) -> Environment:
+        """The same scenarios in copies that have not been used yet."""
+        ...
+
+
+@runtime_checkable
 class Episodic(Protocol):
     """An environment with episodes that end by themselves.
 

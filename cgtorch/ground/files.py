@@ -26,7 +26,10 @@ def writing(path: Path, error: type[CgtorchError] = RunError) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError) as e:
-        raise error(f"cannot write {str(path)!r} ({_reason(e)}); check the folder and disk") from e
+        advice = "check the folder and disk"
+        if isinstance(e, PermissionError):
+            advice = "choose a folder that you may write to, or work on a copy that is yours"
+        raise error(f"cannot write {str(path)!r} ({_reason(e)}); {advice}") from e
 
 
 def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunError) -> None:
@@ -89,7 +92,17 @@ def read_json(
     try:
         return strict_json(raw.decode())
     except (ValueError, RecursionError) as e:
-        raise error(f"{str(path)!r} is not proper JSON ({_reason(e)}); restore the file") from e
+        said = _in_place_of_json(raw) or f"is not proper JSON ({_reason(e)}); restore the file"
+        raise error(f"{str(path)!r} {said}") from e
+
+
+def _in_place_of_json(raw: bytes) -> str:
+    """What a file is that is no JSON, and what to do, if that is seen; else ""."""
+    if raw.startswith(b"PK"):
+        return "is a zip file; unpack it, and give the folder or file that was in it"
+    if raw.startswith(b"\x1f\x8b"):
+        return "is compressed; unpack it (gunzip), and give the file that was in it"
+    return "has marks of a conflict in git; resolve it first" if b"<<<<<<< " in raw else ""
 
 
 def strict_json(text: str) -> Any:

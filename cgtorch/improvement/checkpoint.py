@@ -8,6 +8,7 @@ stage reads these instead of computing them, and goes on from where the journal 
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import partial
+from math import inf
 
 import torch
 from torch import Generator, Tensor
@@ -21,7 +22,7 @@ from cgtorch.evolution.ask_and_tell import (
     state_tensors,
 )
 from cgtorch.evolution.population import slim
-from cgtorch.graphs import ActionSet
+from cgtorch.graphs import ActionSet, Skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NOTHING, Asked
 from cgtorch.ground.errors import RunError
@@ -85,6 +86,25 @@ class Checkpoint:
     about: dict[str, Tensor]
     parts: tuple[Callable[[], dict[str, Tensor]], ...]
     apart: bool = False
+
+
+@dataclass(frozen=True)
+class Kept:
+    """The best skill of a search that was interrupted, and how far that search had come.
+
+    Attributes:
+        skill: The skill.
+        generations: Generations that were told.
+        episodes: Episodes that a search for the best mean had played when it was told of a skill.
+    """
+
+    skill: Skill
+    generations: int = 0
+    episodes: int = 0
+
+    def ahead_of(self, generations: int, episodes: float = inf) -> bool:
+        """Whether the same search, which has begun again, has not come as far yet."""
+        return generations < self.generations or episodes < self.episodes
 
 
 class Journal:

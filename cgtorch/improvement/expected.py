@@ -106,10 +106,13 @@ def improve_expected(
             _tell(setup, state, before)
             if certain or over or state.spent.generations >= limit:
                 break
-    if state.holder is None:
+    spent, kept = state.spent, setup.kept
+    skill = None if state.holder is None else state.holder.skill
+    if kept is not None and kept.ahead_of(spent.generations, spent.episodes):
+        skill = kept.skill
+    if skill is None:
         return progress
     setup.purse.settled = True
-    skill = state.holder.skill
     _report(setup, progress, skill, tests, time.perf_counter() - first)
     usual = skill.actions is setup.actions
     seeds = Population(skill.graph, initial_strategy(1)) if usual else progress.specialists

@@ -112,6 +112,8 @@ def improve_imagined(
     skill = state.skill
     if skill is None and state.inner.holder is not None:
         skill = state.inner.holder.skill
+    if not offered and setup.kept is not None and setup.kept.ahead_of(state.generations):
+        skill = setup.kept.skill
     known = state.known.refused() if offered else state.known  # or there is no next round
     return _ended(setup, replace(progress, knowledge=known), skill, tests, first)
 

@@ -11,7 +11,7 @@ from cgtorch.evolution import EvolutionSettings, Population
 from cgtorch.graphs import ActionSet, Skill
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.environment import Dataset, Environment
-from cgtorch.improvement.checkpoint import Found, Journal
+from cgtorch.improvement.checkpoint import Found, Journal, Kept
 from cgtorch.improvement.compose import local_group
 from cgtorch.improvement.events import ModelSummary, S, Watch
 
@@ -107,6 +107,7 @@ class Setup(Generic[S]):
         max_transitions: Of every skill.
         device: Where populations are evaluated.
         journal: Stores results, and returns those from before an interruption.
+        kept: The best skill from before an interruption, which stays until the search is as far.
         purse: Counts what the world is asked, and refuses what the budget does not cover.
     """
 
@@ -135,6 +136,7 @@ class Setup(Generic[S]):
     max_transitions: int = 20
     device: torch.device | str = "cpu"
     journal: Journal = field(default_factory=Journal)
+    kept: Kept | None = None
     purse: Purse = field(default_factory=Purse)
     name: str = "S0"
     generator: Generator = field(default_factory=Generator)

@@ -125,6 +125,8 @@ def asked_of(whom: str, purse: Purse) -> str:
             f"asked of the world: {total.motions:,} steps ({phases}) in {total.episodes} episodes, "
             f"and {total.looks} first percepts; fresh episodes of tests are not among them"
         )
+    if not total.actions:
+        return f"asked of the {whom}: no motions and no tests; {total.looks} scenes were looked at"
     hours = total.actions * SECONDS / 3600
     phases = ", ".join(f"{phase} {a.actions}" for phase, a in purse.spent.items() if a.actions)
     return (

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from cgtorch.domains.domain import Adaptable, Domain
@@ -99,7 +100,7 @@ def last_skill(
         if (last := folder_of_last(run)) is None:
             raise RunError(
                 f"run {str(path)!r} has no finished stage or round, and no skill of an interrupted "
-                f"one; finish one with cgtorch-train --resume {path}"
+                f"one; finish one with cgtorch-train --resume {quote(str(path))}"
             )
         return run, load_skill(last / SKILL, run.actions)
     if (path / SKILL).is_file():

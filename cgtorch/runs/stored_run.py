@@ -291,6 +291,8 @@ def settings_in(folder: Path, kind: type[T], data: Any) -> T:
 
 def read_about(folder: Path) -> dict[str, Any]:
     """The content of run.json; RunError if there is no run, or it has another version."""
+    if folder.is_file():
+        raise RunError(f"{str(folder)!r} is no run but a file; give the folder of a run")
     if not (folder / "run.json").is_file():
         raise RunError(f"{str(folder)!r} is no run (it has no run.json); give the folder of a run")
     return read_versioned(folder / "run.json", FORMAT, VERSION, "a cgtorch run")

@@ -25,7 +25,8 @@ except ImportError:  # on Windows, where nothing is locked
 WRITER = "writer.lock"
 NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 """The errors of file systems without locks, on which a run is written without one."""
-_held = set[int]()
+_held = dict[int, tuple[Path, os.stat_result]]()
+"""By each open file that is locked, its folder and which one that was."""
 
 
 @contextmanager
@@ -42,11 +43,13 @@ def sole_writer(folder: Path) -> Iterator[None]:
         if said := ranks.broadcast(failure):
             raise RunError(said)
         yield
-    except OSError as e:
-        if file in _held and not folder.is_dir():
+    except (OSError, RunError) as e:
+        if file in _held and (place := place_now(folder)) != folder:
+            now = f" but at {str(place)!r}" if place else ""
             raise RunError(
-                f"run {str(folder)!r} is no longer there{_now_at(file)}; continue it at its new "
-                "place (Run.resume, --resume), or bring it back"
+                f"run {str(folder)!r} was moved or removed while this command wrote to it, and is "
+                f"no longer there{now}; continue it at its new place (Run.resume, --resume), or "
+                "bring it back"
             ) from e
         raise
     finally:
@@ -71,17 +74,18 @@ def _locked(folder: Path) -> tuple[str, int]:
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(file), os.stat(folder / WRITER)):
                 return "", file
-        _held.discard(file)
+        _held.pop(file, None)
         os.close(file)
 
 
 def _release(folder: Path, file: int) -> None:
     """Remove the file and the lock, if they are held, and close an open file."""
     if file in _held:
-        with suppress(OSError):  # the folder may have gone
-            os.unlink(folder / WRITER)
+        with suppress(OSError):
+            if place := place_now(folder):
+                os.unlink(place / WRITER)
         fcntl.flock(file, fcntl.LOCK_UN)  # also for forked processes that have the file
-    _held.discard(file)
+    _held.pop(file, None)
     if file >= 0:
         os.close(file)
 
@@ -91,7 +95,7 @@ def _refused(folder: Path, file: int) -> str:
     try:
         if fcntl is not None:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            _held.add(file)
+            _held[file] = folder, os.stat(folder)
     except BlockingIOError:
         return (
             f"run {str(folder)!r} is written by {_about(os.pread(file, 4096, 0))}; wait for its "
@@ -117,13 +121,21 @@ def _about(said: bytes) -> str:
         return "another process"
 
 
-def _now_at(file: int) -> str:
-    """Where the folder of an open file is now, if the system tells."""
-    with suppress(OSError):
-        place = Path(os.readlink(f"/proc/self/fd/{file}"))
-        if place.exists():
-            return f" but at {str(place.parent)!r}"
-    return ""
+def place_now(folder: Path) -> Path | None:
+    """Where the run is to which this process writes: in its folder, or where that was moved.
+
+    None if it was removed, or the system does not tell where it is.
+    """
+    held = [(file, which) for file, (place, which) in _held.items() if place == folder]
+    if not held:
+        return folder
+    file, which = held[-1]
+    for link in (folder, Path(f"/proc/self/fd/{file}")):
+        with suppress(OSError):
+            place = folder if link is folder else Path(os.readlink(link)).parent
+            if os.path.samestat(which, os.stat(place)):
+                return place
+    return None
 
 
 def _let_go() -> None:

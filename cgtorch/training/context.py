@@ -83,8 +83,12 @@ class Training:
 
     def told(self, event: Event) -> None:
         """Log an event, and pass it on."""
-        self.log(event)
-        self.watch(event)
+        self.purse.telling = True
+        try:
+            self.log(event)
+            self.watch(event)
+        finally:
+            self.purse.telling = False
 
     def practice(self, name: str) -> int:
         """Number of fresh scenarios to solve in a row in a stage or round."""

@@ -13,13 +13,15 @@ from cgtorch.ground.asked import BudgetSpentError, Purse
 from cgtorch.native.rank_processes import end_others, others_started
 
 GRACE = 2.0  # s, in which a step ends by itself
+SOON = 0.2  # s after which it rings again, where something was being told
 
 
 @contextmanager
 def deadline(purse: Purse) -> Iterator[None]:
     """A context that is left by a BudgetSpentError soon after the time of a purse is over.
 
-    It is not left once the purse is settled, as what is only to be told would be lost.
+    It is not left once the purse is settled, as what is only to be told would be lost, nor in the
+    midst of telling, which may import something for its pictures.
 
     Steps look at the clock between generations, and one may take minutes. Only the main thread has
     this alarm, where the system has one, of a single process or of one that has started the other
@@ -35,6 +37,9 @@ def deadline(purse: Purse) -> Iterator[None]:
 
     def ring(number: int, frame: FrameType | None) -> None:
         if purse.settled:
+            return
+        if purse.telling:
+            signal.setitimer(signal.ITIMER_REAL, SOON)
             return
         end_others()
         raise BudgetSpentError("the time is over; give more (minutes, --minutes)")

@@ -2,8 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from math import inf
 from typing import Any, TypeAlias
@@ -11,11 +10,10 @@ from typing import Any, TypeAlias
 import torch
 from torch import Generator
 
-from cgtorch.domains.domain import Domain
-from cgtorch.graphs import Skill, merged, save_skill
+from cgtorch.domains.domain import Domain, Timed
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError, RunError, SettingsError
-from cgtorch.ground.files import whole_folder, writing
+from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.events import (
     Event,
     SkillAccepted,
@@ -33,11 +31,12 @@ from cgtorch.improvement.setup import Progress, Setup
 from cgtorch.runs.journal import FOLDER, forget, journal_of
 from cgtorch.runs.log import history_of, read_log
 from cgtorch.runs.storage import load_progress, save_progress
-from cgtorch.runs.stored_run import AUTO, SKILL, StoredRun
+from cgtorch.runs.stored_run import AUTO, StoredRun
 from cgtorch.training.advice import about_search
 from cgtorch.training.context import Training, for_means
 from cgtorch.training.deadline import deadline
 from cgtorch.training.evaluate import Score, evaluate_skill
+from cgtorch.training.kept import best_at_hand, kept_skill
 from cgtorch.training.searched import searched_of
 from cgtorch.training.start import initial_progress, recall_spent, spent_of
 from cgtorch.training.tally import Tally
@@ -176,11 +175,12 @@ def make_stage(
         return run.domain.draw(kind, count, generator)
 
     again = f"{name} again {failures}" if failures else name
+    kept = kept_skill(run, name, again)
     with journal_of(run.folder, again, training.told, training.checkpoint_seconds) as journal:
         setup = training.setup(name, journal)
-        setup = replace(setup, name=name, generator=generator, watch=listen)
+        setup = replace(setup, name=name, generator=generator, watch=listen, kept=kept)
         began, after = time.perf_counter(), before
-        with _best_at_hand(training, again, tally), deadline(training.purse):
+        with best_at_hand(run, again, tally, kept), deadline(training.purse):
             if run.imagines:
                 about = before, tests, draw, run.reward_models
                 aim = run.domain.target_return if target == inf else target
@@ -218,8 +218,11 @@ def _improved(
 def _not_improved(training: Training, missing: str) -> NotImprovedError:
     """The error of stages without a skill, which says what was too little."""
     if training.purse.late():
+        domain = training.run.domain
+        pace = f" ({domain.pace()})" if isinstance(domain, Timed) and domain.pace() else ""
         return NotImprovedError(
-            f"the time was over before stage {missing} had a skill; give more (minutes, --minutes)"
+            f"the time was over before stage {missing} had a skill{pace}; give more (minutes, "
+            "--minutes)"
         )
     said = f"stage {missing} found no skill that keeps W and solves more"
     searched = searched_of(read_log(training.run.folder), missing)
@@ -228,23 +231,6 @@ def _not_improved(training: Training, missing: str) -> NotImprovedError:
     return NotImprovedError(
         f"{said} within {training.attempts} attempts; raise attempts, generations or population"
     )
-
-
-@contextmanager
-def _best_at_hand(training: Training, name: str, tally: Tally) -> Iterator[None]:
-    """A context that an interruption leaves with the best skill so far beside the journal."""
-    try:
-        yield
-    except BaseException:
-        run, skill, fittest = training.run, tally.skill, tally.champion
-        if skill is None and fittest is not None:
-            skill = Skill(name, merged(fittest.graphs), run.actions, run.settings.max_transitions)
-        if skill is not None and ranks.first():
-            folder = run.folder / FOLDER / name
-            with writing(folder):
-                folder.mkdir(parents=True, exist_ok=True)
-            save_skill(folder / SKILL, skill)
-        raise
 
 
 def _keep(

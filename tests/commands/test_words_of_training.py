@@ -114,6 +114,14 @@ def test_the_command_that_continues_a_run_names_the_users_code() -> None:
     )
 
 
+def test_commands_can_be_pasted_whatever_the_folder_is_called(trained: Trained) -> None:
+    made = work(replace(read_run(trained.folder), folder=Path("my run (1) ü")), "S2")
+    said = [*_before(made), *_after(made)]
+    commands = [line for line in said if "cgtorch-" in line or "tensorboard " in line]
+    assert len(commands) > 4
+    assert all(" 'my run (1) ü'" in line for line in commands)
+
+
 def test_it_is_said_how_a_run_ended(trained: Trained) -> None:
     run = read_run(trained.folder)
     plain = work(run, "S1")

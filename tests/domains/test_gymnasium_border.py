@@ -241,6 +241,33 @@ def test_a_reset_that_keeps_the_last_state_is_told(monkeypatch: pytest.MonkeyPat
         check_domain(domain, "starts")
 
 
+def test_an_action_that_is_kept_over_episodes_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    step = Line.step
+
+    def changing(self: Line, action: Any) -> Any:
+        seen, _, *more = step(self, action)
+        rate = float(abs(action[0] - getattr(self, "last", 0.0)))
+        self.last = float(action[0])  # type: ignore[attr-defined]
+        return seen, -rate, *more
+
+    monkeypatch.setattr(Line, "step", changing)
+    told = (
+        r"'Tiny/Line-v0' showed .* in a second episode \(the return after motion 1 after reset\(s"
+    )
+    with pytest.raises(DomainError, match=told):
+        check_domain(domain_of(monkeypatch, {}), "starts")
+
+
+def test_noise_that_begins_late_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    chance = np.random.default_rng(0)
+    seen: Change = lambda line: np.array(  # noqa: E731
+        [line.place, chance.uniform() if line.steps > 4 else 0.5]
+    )
+    told = r"environment 'Tiny/Line-v0' gave .* after motion 5 after reset\(seed=.*self.np_random"
+    with pytest.raises(DomainError, match=told):
+        check_domain(domain_of(monkeypatch, {"seen": seen}), "starts")
+
+
 @pytest.mark.parametrize("threshold", ["high", np.nan, np.inf])
 def test_a_threshold_that_is_no_number_is_told_unless_a_target_is_given(
     monkeypatch: pytest.MonkeyPatch, threshold: Any

@@ -68,6 +68,39 @@ def test_the_name_imports_the_module() -> None:
     assert done.stdout.split() == ["False", "6", "True"]
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "",
+            r"module 'own_module' was imported and does not register 'Own-v0'; .*gymnasium\.reg",
+        ),
+        ("import gym", r"No module named 'gym'.*; port it from gym to its successor"),
+        (
+            "import no_such",
+            r"No module named 'no_such'.*; is it spelt right, its package installed",
+        ),
+    ],
+)
+def test_a_module_that_gives_no_environment_is_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str, message: str
+) -> None:
+    (tmp_path / "own_module.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_module", raising=False)
+    with pytest.raises(DomainError, match=message):
+        domain_of("own_module:Own-v0")
+
+
+def test_it_is_told_how_long_calls_took() -> None:
+    domain = domain_of()
+    assert domain.pace() == ""
+    domain.episodes.explored(2, 3)
+    number = r"[\d.e-]+ s in the mean, [\d.e-]+ s at most"
+    said = rf"in environment '{GOAL}', a reset took {number} and a step took {number}"
+    assert re.fullmatch(said, domain.pace())
+
+
 def test_keyword_arguments_are_those_of_the_environment() -> None:
     slow, fast = domain_of(env={"speed": 0.1}), domain_of(env=("speed=0.4",))
     assert torch.allclose(way_of(fast)[0], 4 * way_of(slow)[0], atol=1e-5)

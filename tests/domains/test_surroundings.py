@@ -50,6 +50,23 @@ def test_what_belongs_to_the_process_stays(
     assert seen() == before
 
 
+def test_a_folder_that_is_removed_again_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    own = tmp_path / "own"
+
+    def enter() -> None:
+        own.mkdir()
+        os.chdir(own)
+
+    surroundings.call(lambda: (enter(), own.rmdir()))
+    assert Path.cwd() == tmp_path
+    surroundings.call(enter)
+    own.rmdir()  # between two calls
+    assert surroundings.call(Path.cwd) == Path.cwd() == tmp_path
+
+
 def test_files_can_be_read_after_another_mask(tmp_path: Path) -> None:
     surroundings.begin()
     surroundings.call(lambda: os.umask(0o777))

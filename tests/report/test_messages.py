@@ -134,6 +134,13 @@ def test_all_that_was_asked_is_summed_up_with_the_time_it_takes_a_robot() -> Non
     )
 
 
+def test_looks_alone_take_no_time() -> None:
+    purse = Purse()
+    purse.add("looks", Asked(looks=64))
+    said = "asked of the world: no motions and no tests; 64 scenes were looked at"
+    assert asked_of("world", purse) == said
+
+
 def test_low_level_steps_and_episodes_with_rewards_are_summed_up_as_such() -> None:
     purse = Purse()
     purse.add("exploration", Asked(looks=5))

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from cgtorch.ground.errors import RunError
-from cgtorch.runs.writer import NO_LOCKS, WRITER, sole_writer
+from cgtorch.runs.writer import NO_LOCKS, WRITER, place_now, sole_writer
 
 HOLD = """
 import os, sys, time
@@ -133,11 +133,27 @@ def test_where_a_folder_is_that_was_renamed_is_told(tmp_path: Path, error: Excep
     first.mkdir()
     with pytest.raises(type(error), match=f"^{error}$"):
         write(rename=False)
-    moved = r"first' is no longer there but at '.*second'; continue it at its new place"
-    with pytest.raises(
-        (RunError, ValueError), match=moved if isinstance(error, OSError) else "odd"
-    ):
+    moved = r"first' was moved or removed while .* no longer there but at '.*second'; continue it"
+    told = isinstance(error, OSError | RunError)
+    with pytest.raises((RunError, ValueError), match=moved if told else "odd"):
         write(rename=True)
+    assert not list(second.iterdir())
+
+
+def test_a_run_is_found_where_it_is_now(tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir()
+    assert place_now(first) == first  # to which nobody writes
+    with sole_writer(first):
+        (first / WRITER).unlink()
+        assert place_now(first) == first
+    with sole_writer(first):
+        first.rename(second)
+        first.mkdir()
+        assert place_now(first) == second
+        (second / WRITER).unlink()
+        second.rmdir()
+        assert place_now(first) is None
 
 
 @pytest.mark.parametrize("number", NO_LOCKS)

@@ -33,6 +33,14 @@ def test_what_is_settled_is_told_to_its_end() -> None:
     assert slept
 
 
+def test_what_is_being_told_is_told_to_its_end_before_the_time_is_over() -> None:
+    began, purse = time.monotonic(), Purse(until=time.monotonic() - 1.0, telling=True)
+    threading.Timer(GRACE + 0.5, lambda: setattr(purse, "telling", False)).start()
+    with pytest.raises(BudgetSpentError, match="the time is over"), deadline(purse):
+        time.sleep(60)
+    assert GRACE + 0.4 < time.monotonic() - began < GRACE + 40
+
+
 def test_nothing_rings_after_the_context_or_without_a_limit() -> None:
     with deadline(Purse(until=time.monotonic())):
         pass
