@@ -94,7 +94,7 @@ class EpisodePictures(Pictures["Gymnasium"]):
         """See `Pictures.remarks`."""
         found, left_out = self.domain.known.remark, self.domain.episodes.percepts.left_out
         unasked = left_out and not self.domain.settings.percepts
-        each = " and ".join(f"{name}, which has {what}" for name, what in left_out.items())
+        each = " and ".join(f"{name} (it has {what})" for name, what in left_out.items())
         lacks = f"Percepts lack {each}."
         copies, why = self.domain.episodes.most, self.domain.episodes.lacking
         few = f"Only {copies} at once of the environment could be made, which is slow: {why}"

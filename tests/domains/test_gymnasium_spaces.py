@@ -130,7 +130,7 @@ def test_chosen_percepts_are_those_of_all(name: str) -> None:
 def test_what_has_no_numbers_is_left_out_and_told() -> None:
     domain = domain_of(GOAL)
     assert len(domain.percept) == 6
-    lacks = "Percepts lack mission, which has no fixed numbers."
+    lacks = "Percepts lack mission (it has no fixed numbers)."
     assert remarks_of(domain) == [lacks]
     assert ("Remark", remarks_of(domain)[0]) in domain.pictures(domain).about()
 
