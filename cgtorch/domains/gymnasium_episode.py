@@ -109,6 +109,9 @@ class Episode:
     @property
     def where(self) -> str:
         """The environment, the seed, and the step that is played."""
+        return self._where()
+
+    def _where(self) -> str:
         now = f"step {len(self.actions)} after " if self.actions else ""
         return f"environment {self.name!r} in {now}reset(seed={self.seed})"
 
@@ -116,7 +119,7 @@ class Episode:
         """What a method returns, its first part as numbers; WorldError if it has another form."""
         began = perf_counter()
         try:
-            found = surroundings.call(call)
+            found = surroundings.call(call, self._where)
         except (CgtorchError, KeyboardInterrupt):
             raise
         except BaseException as e:  # SystemExit, too, as it would end the program without a word

@@ -204,7 +204,8 @@ class Episodes:
         surroundings.begin()
         try:
             made: Any = surroundings.call(
-                lambda: gymnasium.make(name, disable_env_checker=True, **keywords)
+                lambda: gymnasium.make(name, disable_env_checker=True, **keywords),
+                lambda: f"the constructor of environment {name!r}",
             )
         except CgtorchError:
             raise
@@ -261,7 +262,7 @@ def _close(environments: list[tuple[int, Any]]) -> None:
     for process, environment in environments:
         if process == os.getpid() and time.monotonic() < until:
             try:
-                environment.close()
+                surroundings.call(environment.close, lambda: "close() of an environment")
             except KeyboardInterrupt:
                 break
             except BaseException:  # noqa: S112  SystemExit, too

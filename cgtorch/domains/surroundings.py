@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from time import perf_counter
 from typing import Any, TextIO
 
 import torch
@@ -19,6 +20,7 @@ class _Surroundings:
     mask = -1  # of new files, which can be read only by setting it
     depth = 0  # of calls, at most
     modules: tuple[str, ...] = ()  # the folders in which they are found
+    _called: tuple[Callable[[], str], float] | None = None  # what is under way, and since when
 
     def begin(self) -> None:
         """Read what has to stay, before an environment is made."""
@@ -26,16 +28,21 @@ class _Surroundings:
         os.umask(self.mask)
         self.depth, self.modules = sys.getrecursionlimit(), tuple(sys.path)
 
-    def call(self, code: Callable[[], Any]) -> Any:
-        """The result of foreign code, called in the folder where it last was, if that is there."""
+    def call(self, code: Callable[[], Any], name: Callable[[], str]) -> Any:
+        """The result of foreign code, called in the folder where it last was, if that is there.
+
+        `name` says what it is, if it does not return.
+        """
         here = _folder()
         if here and self.folder:
             with suppress(FileNotFoundError):
                 os.chdir(self.folder)
         streams, learns = (sys.stdout, sys.stderr), torch.is_grad_enabled()
+        self._called = name, perf_counter()
         try:
             return code()
         finally:
+            self._called = None
             self._restore(streams, learns)
             if here:
                 self.folder = _folder()
@@ -43,6 +50,13 @@ class _Surroundings:
                     self.folder = ""
                 else:
                     os.chdir(here)
+
+    def unreturned(self, after: float) -> str:
+        """Which call has not returned after so many seconds; "" if none."""
+        if (called := self._called) is None or perf_counter() - called[1] < after:
+            return ""
+        name, began = called
+        return f"{name()} has not returned for {perf_counter() - began:.0f} s"
 
     def _restore(self, streams: tuple[TextIO, TextIO], learns: bool) -> None:
         """Restore all that is not the working folder; it may take no time, as steps are many."""

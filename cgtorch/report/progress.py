@@ -14,6 +14,7 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from cgtorch.domains.surroundings import surroundings
 from cgtorch.evolution.fitness import WORTHLESS
 from cgtorch.ground.errors import printable
 from cgtorch.improvement import events
@@ -159,6 +160,7 @@ class ProgressDisplay:
             done = self._generation.generation.number + 1
             parts.append(f"{self._generation.candidate}, generation {done}")
         parts += self._counted()
+        parts += filter(None, [surroundings.unreturned(SILENCE)])
         parts.append(f"{as_time(time.monotonic() - self._began)} elapsed")
         return ", ".join(parts)
 
@@ -276,6 +278,8 @@ class ProgressDisplay:
             frame = cast(Text, spinner.render(now))
             lines.append(_line(frame, f" {message} … {as_time(now - began)}"))
         lines += [_line((f"  {text}", "dim")) for text in self._counted()]
+        if late := surroundings.unreturned(SILENCE):
+            lines.append(_line((f"  {late}", "yellow")))
         return Group(*lines)
 
 

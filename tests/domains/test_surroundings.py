@@ -4,6 +4,7 @@ import io
 import os
 import stat
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,7 @@ def test_what_belongs_to_the_process_stays(
 ) -> None:
     before = seen()
     surroundings.begin()
-    surroundings.call(change)
+    surroundings.call(change, lambda: "a call")
     assert seen() == before
 
 
@@ -60,30 +61,32 @@ def test_a_folder_that_is_removed_again_is_left(
         own.mkdir()
         os.chdir(own)
 
-    surroundings.call(lambda: (enter(), own.rmdir()))
+    surroundings.call(lambda: (enter(), own.rmdir()), lambda: "a call")
     assert Path.cwd() == tmp_path
-    surroundings.call(enter)
+    surroundings.call(enter, lambda: "a call")
     own.rmdir()  # between two calls
-    assert surroundings.call(Path.cwd) == Path.cwd() == tmp_path
+    assert surroundings.call(Path.cwd, lambda: "a call") == Path.cwd() == tmp_path
 
 
 def test_files_can_be_read_after_another_mask(tmp_path: Path) -> None:
     surroundings.begin()
-    surroundings.call(lambda: os.umask(0o777))
+    surroundings.call(lambda: os.umask(0o777), lambda: "a call")
     (tmp_path / "run.json").write_text("{}")
     assert stat.S_IMODE((tmp_path / "run.json").stat().st_mode) == 0o644
 
 
 def test_a_closed_stream_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", io.StringIO())
-    surroundings.call(lambda: sys.stdout.close())
+    surroundings.call(lambda: sys.stdout.close(), lambda: "a call")
     assert not sys.stdout.closed
 
 
 def test_folders_of_modules_and_a_higher_limit_of_its_own_stay() -> None:
     surroundings.begin()
     depth = sys.getrecursionlimit() + 50
-    surroundings.call(lambda: (sys.path.append("own"), sys.setrecursionlimit(depth)))
+    surroundings.call(
+        lambda: (sys.path.append("own"), sys.setrecursionlimit(depth)), lambda: "a call"
+    )
     assert (sys.path[-1], sys.getrecursionlimit()) == ("own", depth)
 
 
@@ -97,3 +100,18 @@ def test_another_device_of_torch_is_told() -> None:
     finally:
         torch.set_default_device(None)
     check_defaults("Own")
+
+
+def test_a_call_that_does_not_return_is_named_until_it_does() -> None:
+    said = list[str]()
+
+    def hang() -> None:
+        said.append(surroundings.unreturned(60))
+        time.sleep(0.02)
+        said.append(surroundings.unreturned(0.01))
+        raise ValueError("late")
+
+    with pytest.raises(ValueError, match="late"):
+        surroundings.call(hang, lambda: "step 3")
+    assert said == ["", "step 3 has not returned for 0 s"]
+    assert surroundings.unreturned(0) == ""

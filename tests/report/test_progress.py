@@ -9,6 +9,7 @@ import pytest
 from members import nearly
 from screens import console, snapshot, text_of
 
+from cgtorch.domains.surroundings import surroundings
 from cgtorch.ground.asked import Asked
 from cgtorch.improvement.events import (
     ChanceFound,
@@ -198,6 +199,23 @@ def test_without_a_terminal_there_is_a_line_wherever_nothing_is_said(
     heard = [[line for line in lines if re.fullmatch(each, line)] for each in said]
     assert all(1 <= len(each) <= 5 for each in heard)
     assert sum(map(len, heard)) == len(lines) - 3, "the others are those of events"
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_step_that_does_not_return_is_named(
+    monkeypatch: pytest.MonkeyPatch, terminal: bool
+) -> None:
+    monkeypatch.setattr("cgtorch.report.progress.SILENCE", 0.0)
+    display = ProgressDisplay(console(terminal))
+
+    def shown() -> str:
+        with display.console.capture() as caught:
+            display.console.print(display.live_lines() if terminal else display._present())
+        return caught.get()
+
+    text = surroundings.call(shown, lambda: "environment 'Slow-v0' in step 3 after reset(seed=0)")
+    assert "'Slow-v0' in step 3 after reset(seed=0) has not returned for 0 s" in text
+    assert "returned" not in shown()
 
 
 def test_nothing_is_said_of_silence_before_it_lasts_nor_after_the_end(
