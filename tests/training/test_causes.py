@@ -143,6 +143,14 @@ def test_bad_luck_is_what_most_other_noise_would_have_spared(bad: int, cause: st
     assert ("They are bad luck" in str(found.advice)) == (cause == "noise")
 
 
+def test_bad_luck_is_unknown_where_nothing_repeats_itself() -> None:
+    domain = Chancy(robot=TABLE.robot, networks="percept")
+    domain.repeats = False
+    found = failures_of(AHEAD, domain, evaluate_skill(AHEAD, domain, "near", 24, 3))
+    assert found.kinds
+    assert "noise" not in found.causes()
+
+
 def test_other_noise_is_never_that_of_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     scenarios, met = TABLE.draw("near", 5, seeded(0)), list[Scenarios]()
 
