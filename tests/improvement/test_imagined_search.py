@@ -2,84 +2,24 @@
 
 from dataclasses import replace
 from math import inf
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 import torch
-from rewarded_cart import LIMIT, CartModels, GivenModels, Places, RewardedCart, Track
+from imagining import EARLIER, EPISODES, GOOD, KNOWN, LOOKS, POOR, Beginning, search_of, told_skill
+from rewarded_cart import LIMIT, CartModels, GivenModels, Track
 from support import same, seeded
-from torch import Generator, Tensor
+from torch import Tensor
 from watched import of_kind
 
-from cgtorch.evolution import REWARDS, Generation, evolve
-from cgtorch.evolution.fitness import WORTHLESS
-from cgtorch.graphs import Graphs, Skill, compacted
-from cgtorch.ground.asked import Asked, Purse
+from cgtorch.evolution import Generation, evolve
+from cgtorch.graphs import Graphs
+from cgtorch.ground.asked import Asked
 from cgtorch.improvement import imagined_search
-from cgtorch.improvement.events import (
-    EpisodePlayed,
-    Event,
-    MeanTested,
-    ModelsFitted,
-    Practised,
-    WorldAsked,
-)
-from cgtorch.improvement.imagined_search import (
-    FRESH,
-    HORIZON,
-    MOST_CAUTIOUS,
-    SHORT,
-    Search,
-)
-from cgtorch.improvement.imagined_state import (
-    CHAMPIONS,
-    CURIOUS,
-    PATIENCE,
-    RANDOM,
-    STARTS,
-    State,
-)
-from cgtorch.improvement.pace import BY_ROLLOUT
+from cgtorch.improvement.events import EpisodePlayed, Event, MeanTested, ModelsFitted
+from cgtorch.improvement.imagined_search import FRESH, HORIZON, MOST_CAUTIOUS, SHORT, Search
+from cgtorch.improvement.imagined_state import CHAMPIONS, CURIOUS, PATIENCE, RANDOM, STARTS, State
 from cgtorch.improvement.paired_race import Holder
-from cgtorch.improvement.setup import Budget, Setup
-
-DOMAIN = RewardedCart()
-NOTHING = DOMAIN.draw("any", 0, seeded(0))
-KNOWN = BY_ROLLOUT.known
-LOOKS, EPISODES = CartModels.looks, len(CartModels.changes)
-
-
-def search_of(
-    satisfied: float = 8.0, told: list[Event] | None = None, kind: type[CartModels] = GivenModels
-) -> Search:
-    setup: Setup[Any] = Setup(
-        actions=DOMAIN.actions(), world_of=DOMAIN.world, imagine=lambda *_: DOMAIN.world(NOTHING),
-        evolution=replace(REWARDS, population=16), max_transitions=500, name="cart",
-        budget=Budget(60, satisfied=satisfied), purse=Purse(),
-        watch=lambda event: None if told is None else told.append(event),
-    )  # fmt: skip
-
-    def draw(count: int, generator: Generator) -> Places:
-        return DOMAIN.draw("any", count, generator)
-
-    return Search(setup, draw=draw, models=kind(DOMAIN))
-
-
-EARLIER = Asked(motions=5, episodes=2, looks=3)  # before a search, as in earlier rounds
-Beginning: TypeAlias = tuple[Search, State, list[Event]]
-
-
-@pytest.fixture(scope="module")
-def beginning() -> Beginning:
-    told: list[Event] = []
-    search = search_of(told=told)
-    search.setup.purse.add(CURIOUS, EARLIER)
-    return search, search.begun(seeded(0)), told
-
-
-@pytest.fixture
-def begun(beginning: Beginning) -> State:
-    return beginning[1]
 
 
 def test_it_begins_with_looks_and_episodes_of_random_controls(beginning: Beginning) -> None:
@@ -102,29 +42,11 @@ def test_it_begins_with_looks_and_episodes_of_random_controls(beginning: Beginni
     assert same_one.sum() > 10
 
 
-def graph_of(better: bool) -> Graphs:
-    """The best or the worst of some random graphs that finish episodes in the world."""
-    search = search_of()
-    world = DOMAIN.world(DOMAIN.draw("any", 8, seeded(0)))
-    about = world, search.setup.actions, search.setup.evolution, seeded(0)
-    found = next(evolve(*about, max_transitions=500))
-    fitness = torch.where(found.fitness < WORTHLESS, torch.nan, found.fitness)
-    order = fitness.argsort()[: int(fitness.isfinite().sum())]  # those that finish none are last
-    return found.population.graphs[order[-1:] if better else order[:1]]
-
-
-GOOD, POOR = graph_of(better=True), graph_of(better=False)
-
-
 class Backwards(Track):
     """A track on which every push goes the other way."""
 
     def next_state(self, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
         return super().next_state(state, -control, scenario)
-
-
-def told_skill(graphs: Graphs) -> Skill:
-    return Skill("cart", graphs, DOMAIN.actions(), 500)
 
 
 class LongModels(GivenModels):
@@ -347,76 +269,6 @@ def test_a_champion_is_kept_if_the_world_gives_what_was_imagined_or_what_is_want
             monkeypatch.setattr(Search, "surely", lambda *_, sure=sure: sure)
             state, offered = search._champion_played(begun, told_skill(GOOD), seeded(1))
             assert offered is (state.skill is not None) is (bool(kept) and sure)
-
-
-class GradedModels(GivenModels):
-    """Those of rewards that are grades."""
-
-    graded = True
-
-
-PRACTICE = 5
-
-
-def practised(
-    monkeypatch: pytest.MonkeyPatch, begun: State, *returns: float, late: bool = False
-) -> tuple[int, State, list[Event]]:
-    """How often a skill is played that returns these, one after the other, and what follows."""
-    told, left = list[Event](), list(returns)
-    search = search_of(kind=GradedModels, told=told)
-    setup = replace(search.setup, practice=PRACTICE)
-    steps, cost = begun.known.steps.rows(torch.arange(3)), Asked(motions=3, episodes=1)
-
-    def tried(*_: Any) -> tuple[float, Any, Asked]:
-        return left.pop(0), steps, cost
-
-    monkeypatch.setattr(Search, "_tried", tried)
-    monkeypatch.setattr(Purse, "late", lambda _: late)
-    skill = told_skill(GOOD)
-    state, offered = replace(search, setup=setup)._practised(begun, skill, seeded(1))
-    assert (state.skill is skill) is offered
-    count = len(returns) - len(left)
-    assert len(state.known.steps) == len(begun.known.steps) + 3 * count
-    assert state.steps == begun.steps + 3 * count
-    return count, state, told
-
-
-def test_where_rewards_are_graded_a_skill_is_played_up_to_its_first_failure(
-    begun: State, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    good = search_of().wanted(HORIZON)
-    count, state, told = practised(monkeypatch, begun, *[good] * PRACTICE, good)
-    assert (count, state.skill is not None) == (PRACTICE, True)
-    (asked,), (shown,) = of_kind(told, WorldAsked), of_kind(told, Practised)
-    assert (asked.asked.episodes, asked.succeeded, asked.phase) == (PRACTICE, PRACTICE, CHAMPIONS)
-    assert (shown.in_a_row, shown.wanted) == (PRACTICE, PRACTICE)
-    count, state, told = practised(monkeypatch, begun, good, good, good - 0.1, good)
-    assert (count, state.skill) == (3, None)
-    assert [each.in_a_row for each in of_kind(told, Practised)] == [2]
-    assert practised(monkeypatch, begun, *[good] * (PRACTICE - 1), -inf)[0] == PRACTICE
-    assert practised(monkeypatch, begun, good, late=True)[0] == 0
-
-
-def test_where_rewards_are_graded_the_best_so_far_is_what_is_played_to_learn(
-    begun: State, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    search, told = search_of(kind=GradedModels), list[Skill]()
-
-    def noted(_: Search, state: State, skill: Skill, *__: Any) -> tuple[State, bool]:
-        told.append(skill)
-        return state, False
-
-    monkeypatch.setattr(Search, "_practised", noted)
-    world = DOMAIN.world(DOMAIN.draw("any", 8, seeded(0)))
-    about = world, search.setup.actions, search.setup.evolution, seeded(0)
-    generation = next(evolve(*about, max_transitions=500))
-    holder = Holder(told_skill(GOOD))
-    for held in (holder, None):
-        state = replace(begun, waited=9, inner=replace(begun.inner, holder=held))
-        after, offered = search._learned(state, generation, seeded(1))
-        assert (after.waited, offered) == (0, False)
-    assert told[0] is holder.skill
-    assert same(told[1].graph, compacted(generation.champion.graphs))
 
 
 def test_an_episode_that_is_not_finished_has_no_return(begun: State) -> None:
