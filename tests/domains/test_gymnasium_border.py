@@ -1,13 +1,13 @@
 """What Gymnasium environments do wrong is told with the seed and the step, and data are copied."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from line_environment import Change, Line, domain_of
 from support import seeded
 
 from cgtorch.domains.check import check_domain
@@ -21,45 +21,6 @@ from cgtorch.ground.errors import DomainError, WorldError
 
 gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.spaces import Box, Dict, Discrete, Tuple  # noqa: E402
-
-Change = Callable[["Line"], Any]
-
-
-class Line(gymnasium.Env[Any, Any]):
-    """A point on a line; `changes` has functions of it for parts of what it returns, by name."""
-
-    changes: dict[str, Change] = {}  # noqa: RUF012
-
-    def __init__(self) -> None:
-        self.observation_space = Box(-9, 9, (2,), np.float64)
-        self.action_space = Box(-1, 1, (1,), np.float32)
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
-        super().reset(seed=seed)
-        self.place, self.steps = float(self.np_random.uniform(-1, 1)), 0
-        return self._or("reset", (self._or("seen", np.array([self.place, 0.5])), {}))
-
-    def step(self, action: Any) -> Any:
-        self.steps += 1
-        self.place += float(action[0])
-        seen = self._or("seen", np.array([self.place, 0.5]))
-        reward = self._or("reward", 1.0)
-        info = self._or("info", {"good": True})
-        return self._or("step", (seen, reward, self._or("over", False), False, info))
-
-    def _or(self, name: str, value: Any) -> Any:
-        return self.changes[name](self) if name in self.changes else value
-
-
-gymnasium.register("Tiny/Line-v0", Line, max_episode_steps=6)
-
-
-def domain_of(monkeypatch: pytest.MonkeyPatch, changes: dict[str, Change], **more: Any) -> Any:
-    monkeypatch.setattr(Line, "changes", changes)
-    settings = {"target_return": 5.0, **more}
-    domain: Any = make_domain("gymnasium:Tiny/Line-v0", GymnasiumSettings(**settings))
-    assert domain.known  # for which random episodes are played
-    return domain
 
 
 def raising(error: BaseException) -> Change:
@@ -199,103 +160,6 @@ def test_what_is_no_space_is_told(monkeypatch: pytest.MonkeyPatch, bad: Any) -> 
     monkeypatch.setattr(Line, "__init__", init)
     with pytest.raises(DomainError, match=f"has action_space {bad}; set one of Gymnasium's spaces"):
         domain_of(monkeypatch, {})
-
-
-@pytest.mark.parametrize("what", ["reward", "seen"])
-def test_an_environment_that_does_not_repeat_itself_is_told(
-    monkeypatch: pytest.MonkeyPatch, what: str
-) -> None:
-    chance = np.random.default_rng(0)
-
-    def different(line: Line) -> Any:
-        late = chance.uniform() if line.steps > 1 else 0.0
-        return late if what == "reward" else np.array([line.place, late])
-
-    domain = domain_of(monkeypatch, {what: different})
-    with pytest.raises(DomainError, match="gave something else when it was called twice"):
-        check_domain(domain, "starts")
-
-
-def test_episodes_that_share_a_state_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = {"latest": 0.0}
-
-    def seen(line: Line) -> Any:
-        if not line.steps:
-            kept["latest"] = line.place
-        return np.array([kept["latest"], 0.5])
-
-    domain = domain_of(monkeypatch, {"seen": seen})
-    with pytest.raises(DomainError, match=r"in another order \(number 1 of the .* no state in cla"):
-        check_domain(domain, "starts")
-
-
-def test_a_reset_that_keeps_the_last_state_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    def seen(line: Line) -> Any:
-        if not line.steps:
-            line.place = getattr(line, "kept", line.place)
-        line.kept = line.place  # type: ignore[attr-defined]
-        return np.array([line.place, 0.5])
-
-    domain = domain_of(monkeypatch, {"seen": seen})
-    with pytest.raises(DomainError, match=r"keep .* from one episode to the next|of an earlier"):
-        check_domain(domain, "starts")
-
-
-def test_an_action_that_is_kept_over_episodes_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    step = Line.step
-
-    def changing(self: Line, action: Any) -> Any:
-        seen, _, *more = step(self, action)
-        rate = float(abs(action[0] - getattr(self, "last", 0.0)))
-        self.last = float(action[0])  # type: ignore[attr-defined]
-        return seen, -rate, *more
-
-    monkeypatch.setattr(Line, "step", changing)
-    told = (
-        r"'Tiny/Line-v0' showed .* in a second episode \(the return after motion 1 after reset\(s"
-    )
-    with pytest.raises(DomainError, match=told):
-        check_domain(domain_of(monkeypatch, {}), "starts")
-
-
-def test_noise_that_begins_late_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    chance = np.random.default_rng(0)
-    seen: Change = lambda line: np.array(  # noqa: E731
-        [line.place, chance.uniform() if line.steps > 4 else 0.5]
-    )
-    told = r"environment 'Tiny/Line-v0' gave .* after motion 5 after reset\(seed=.*self.np_random"
-    with pytest.raises(DomainError, match=told):
-        check_domain(domain_of(monkeypatch, {"seen": seen}), "starts")
-
-
-@pytest.mark.parametrize("threshold", ["high", np.nan, np.inf])
-def test_a_threshold_that_is_no_number_is_told_unless_a_target_is_given(
-    monkeypatch: pytest.MonkeyPatch, threshold: Any
-) -> None:
-    monkeypatch.setattr(gymnasium.spec("Tiny/Line-v0"), "reward_threshold", threshold)
-    assert domain_of(monkeypatch, {}, target_return=3.0).target_return == 3
-    with pytest.raises(DomainError, match=rf"reward_threshold '?{threshold}'?; .*--target"):
-        domain_of(monkeypatch, {}, target_return=np.inf)
-
-
-def test_an_environment_that_may_never_end_is_remarked_upon(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    domain = domain_of(monkeypatch, {})
-    assert not domain.known.remark
-    monkeypatch.setattr(gymnasium.spec("Tiny/Line-v0"), "max_episode_steps", None)
-    assert "ended within 200 steps" in domain_of(monkeypatch, {}).known.remark
-    ending: dict[str, Change] = {"over": lambda line: line.steps > 3}
-    assert not domain_of(monkeypatch, ending).known.remark
-
-
-@pytest.mark.parametrize(("size", "alike"), [(1.0, False), (1e4, False), (1e9, True)])
-def test_rewards_that_are_alike_for_their_size_are_remarked_upon(
-    monkeypatch: pytest.MonkeyPatch, size: float, alike: bool
-) -> None:
-    domain = domain_of(monkeypatch, {"reward": lambda line: size + line.place})
-    assert ("subtract a constant (--wrappers)" in domain.known.remark) == alike
-    assert not domain_of(monkeypatch, {"reward": lambda line: size}).known.remark
 
 
 def test_an_environment_that_changes_the_working_folder_changes_only_its_own(
