@@ -11,6 +11,7 @@ from members import nearly
 from reaching import TABLE
 from support import create_run, seeded
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from told_by_runs import logged
 from walking import StagedWalking, Walking
 
 import cgtorch
@@ -30,9 +31,10 @@ from cgtorch.improvement.events import (
     TrainingEnded,
 )
 from cgtorch.report import ProgressDisplay
+from cgtorch.report.messages import message_of
 from cgtorch.runs.journal import FileJournal, TakenOver, goes_on_to, remember_goal
 from cgtorch.runs.settings import Goal, RunSettings
-from cgtorch.runs.stored_run import StoredRun, read_about
+from cgtorch.runs.stored_run import AUTO, StoredRun, read_about
 from cgtorch.runs.writer import WRITER
 from cgtorch.tabletop.settings import TabletopSettings
 from cgtorch.training import train as module
@@ -261,6 +263,9 @@ def test_a_training_says_what_is_made_and_changed_and_tells_everything(
     with ProgressDisplay(quiet=False) as display:
         found = carry_out(work_of(plain, "S1", purse), display, watch)
     text = "".join(capfd.readouterr())
+    accepted = [message_of(event) for event in told if isinstance(event, SkillAccepted)]
+    assert len(accepted) == 2
+    assert all(line in text for line in accepted)
     assert text.index("S1 builds on S0") < text.index("practice is 6 instead of 5 from S0 on")
     assert [result["stage"] for result in found] == ["S0", "S1"]
     assert found == plain.results
@@ -268,6 +273,14 @@ def test_a_training_says_what_is_made_and_changed_and_tells_everything(
     assert [e.stage for e in told if isinstance(e, StageStarted)] == ["S0", "S1"]
     assert not any(isinstance(event, TrainingEnded) for event in told)
     assert list(plain.folder.glob("*.tfevents.*"))
+
+
+def test_rounds_for_which_there_is_no_time_end_all_the_same(plain: StoredRun) -> None:
+    work = replace(work_of(plain, AUTO, Purse()), goal=Goal(target=0.75, minutes=0))
+    with ProgressDisplay(quiet=True) as display:
+        assert carry_out(work, display, None) == []
+    (ended,) = logged(plain.folder, "ended")
+    assert (ended["stage"], ended["reached"], ended["target"]) == ("auto", False, 0.75)
 
 
 def test_a_training_that_is_stopped_returns_what_it_has(plain: StoredRun) -> None:

@@ -47,6 +47,7 @@ def result_of(tally: Tally, seconds: float = 0.0) -> dict[str, Any]:
 def test_a_stage_that_has_done_nothing_has_cost_nothing() -> None:
     tally = Tally()
     assert (tally.champion, tally.skill, tally.in_a_row, tally.episodes) == (None, None, 0, 0)
+    assert tally.seconds == 0
     assert result_of(tally) == {
         "skill": SKILL.name,
         "w_size": 6,
