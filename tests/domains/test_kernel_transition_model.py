@@ -60,6 +60,15 @@ class Still(KernelTransitionModel):
         return percept, percept[..., 0]
 
 
+def test_each_prediction_has_an_error_of_its_own(fitted: Fitted) -> None:
+    seen = experience(1).next_percept[:3]
+    predicted = seen.clone()
+    predicted[1:, PLACE] += torch.tensor([1.0, -2.0])
+    first, second, third = fitted[0].errors(predicted, seen).tolist()
+    assert (first, third) == (0, pytest.approx(2 * second))
+    assert second > 0
+
+
 def test_its_report_says_how_well(fitted: Fitted) -> None:
     _, report = fitted
     assert report.coordinates == ("place", "wind", "lamp", "gear")
