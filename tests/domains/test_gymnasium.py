@@ -201,7 +201,8 @@ def test_it_is_kept_with_a_run(tmp_path: Path) -> None:
     again = Gymnasium.files.read(Gymnasium, domain.settings, tmp_path)
     assert again.target_return == -100.0
     assert torch.equal(again.known.scaling.scale, domain.known.scaling.scale)
-    (tmp_path / "gymnasium.json").write_text('{"centre": [1], "scale": [0], "target_return": 1}')
+    text = '{"centre": [1, 1], "scale": [1, 0], "target_return": 1}'
+    (tmp_path / "gymnasium.json").write_text(text)
     with pytest.raises(DomainError, match="damaged"):
         Gymnasium.files.read(Gymnasium, domain.settings, tmp_path)
     (tmp_path / "gymnasium.json").write_text('{"centre": [1], "scale": [1], "target_return": 1}')
