@@ -22,7 +22,6 @@ from cgtorch.training.run import train
 
 SPARING = meta_world("reach-v3").sparing()
 ARM = SPARING.arm
-MODELS = ArmModels(SPARING)
 HAND, THING, GOAL = (ARM.columns(place) for place in ("hand", "object", "goal"))
 TIME = ARM.names.index("time")
 
@@ -145,13 +144,14 @@ def test_grades_add_up_within_an_episode() -> None:
 
 def test_random_segments_lead_to_somewhere_around_a_place() -> None:
     here = percepts(1, 0)
-    drawn = torch.cat([MODELS.random_control(here, seeded(i)) for i in range(200)])
+    models = ArmModels(SPARING)
+    drawn = torch.cat([models.random_control(here, seeded(i)) for i in range(200)])
     places = torch.stack([ARM.position(here, place)[0] for place in ("hand", *ARM.places)])
     way = torch.cdist(drawn[:, :3], places)
     assert 0.05 < way.amin(1).mean() < 0.16
     assert way.argmin(1).bincount(minlength=len(places)).min() > 20
     assert sorted(drawn[:, 3].unique().tolist()) == [-1, 1]
-    assert torch.equal(MODELS.random_control(here, seeded(3)), drawn[3:4])
+    assert torch.equal(models.random_control(here, seeded(3)), drawn[3:4])
 
 
 def test_a_world_for_few_steps_returns_how_close_it_is() -> None:
@@ -174,7 +174,9 @@ def test_a_world_for_few_steps_returns_how_close_it_is() -> None:
 def test_gamma_is_learned_of_a_single_task() -> None:
     assert isinstance(SPARING, SparingMetaWorld)
     assert (dict(SPARING.stages), SPARING.kinds) == ({"01-reach-v3": "reach-v3"}, ("reach-v3",))
-    assert MODELS.most_steps == 200
+    models = ArmModels(SPARING)
+    assert (models.domain, models.most_steps, models.graded) == (SPARING, 200, True)
+    assert (models.looks, len(models.changes)) == (100, 6)
     with pytest.raises(DomainError, match="'metaworld:MT10' has 10 tasks, and Γ is learned of a"):
         SparingMetaWorld(ManipulationSettings(environment="MT10"))
     with pytest.raises(DomainError, match="not learned of gymnasium-robotics:FetchPush-v4, where"):

@@ -93,6 +93,10 @@ def test_an_episode_continues_from_any_state_of_any_start(lags: bool) -> None:
         assert np.array_equal(states.read(), ways[seed][0][number + 1])
 
 
+def test_of_a_model_only_what_differs_between_starts_is_kept() -> None:
+    assert states_of(Slider())._fixed == ["body_pos"]
+
+
 def test_a_start_that_was_forgotten_is_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cgtorch.manipulation.mujoco_states.MOST_STARTS", 2)
     slider = Slider()
