@@ -11,18 +11,21 @@ from rich.console import Console
 
 from cgtorch.commands.common import resumable
 from cgtorch.domains.domain import most_lanes, rewarded
-from cgtorch.domains.registry import TABLETOP, is_code, with_name
+from cgtorch.domains.registry import TABLETOP, with_name
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NOTHING
 from cgtorch.native.rank_processes import in_ranks
 from cgtorch.report import ProgressDisplay, final_table
 from cgtorch.report.messages import asked_of
-from cgtorch.runs.chosen import last_skill
+from cgtorch.runs.chosen import folder_of_last, last_skill, own_code, resuming
+from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun
+from cgtorch.training.advice import about_search
 from cgtorch.training.auto import reached
 from cgtorch.training.context import evolution_settings
+from cgtorch.training.searched import searched_of
 from cgtorch.training.session import (
     TrainingRequest,
     Work,
@@ -82,7 +85,7 @@ def usual_processes(run: StoredRun) -> int:
 
 def _train(work: Work, quiet: bool) -> None:
     run, quiet = work.run, quiet or not ranks.first()
-    with resumable(_resuming(run)), ProgressDisplay(quiet=quiet) as display:
+    with resumable(resuming(run)), ProgressDisplay(quiet=quiet) as display:
         if work.new:
             for line in _before(work):
                 display.say(line, style="bold" if line.startswith("New") else "")
@@ -90,10 +93,10 @@ def _train(work: Work, quiet: bool) -> None:
         display.say(f"run {run.folder} {_end(work, results)}")
         if work.purse.total != NOTHING:
             display.say(asked_of("robot" if run.settings.driver else "world", work.purse))
-    if ranks.first():
+    if ranks.first() and results:
         Console().print(final_table(results, run.domain))
     with ProgressDisplay(quiet=quiet) as display:
-        for line in _after(work) if run.stages else ():
+        for line in _after(work) if folder_of_last(run) else ():
             display.say(line)
 
 
@@ -131,7 +134,7 @@ def _before(work: Work) -> Iterator[str]:
         yield "  2. Accept a skill if it forgets nothing and solves something new."
     yield f"  {takes} Progress appears here, and in TensorBoard:"
     yield f"    tensorboard --logdir {_quoted(run)}"
-    yield f"  Ctrl-C stops the run, and this command continues it: {_resuming(run)}"
+    yield f"  Ctrl-C stops the run, and this command continues it: {resuming(run)}"
 
 
 def _end(work: Work, results: list[dict[str, Any]]) -> str:
@@ -147,13 +150,18 @@ def _end(work: Work, results: list[dict[str, Any]]) -> str:
     if reached(work.goal, rounds):
         return f"has reached its goal of {work.goal.target:.4g}"
     if not rounds:
-        return "has made no round; raise --minutes"
+        searched = searched_of(read_log(work.run.folder), "")
+        if searched is not None and searched.generations and not searched.solving:
+            return f"has no skill that solves anything. {' '.join(about_search(searched))}"
+        kept = folder_of_last(work.run)
+        best = "; the best skill so far is kept" if kept else ""
+        return f"has not finished its first round in time{best}; continue with --resume"
     return f"has not reached its goal of {work.goal.target:.4g}; continue with --resume"
 
 
 def _after(work: Work) -> Iterator[str]:
     """Whether the last skill has each additional action, and what to look at next."""
-    run, folder, code = work.run, _quoted(work.run), _code(work.run)
+    run, folder, code = work.run, _quoted(work.run), own_code(work.run)
     if added := set(run.actions.names) - set(run.domain.actions().names):
         _, skill = last_skill(run.folder, run.settings.actions, run.settings.domain)
         for name in sorted(added):
@@ -170,23 +178,9 @@ def _after(work: Work) -> Iterator[str]:
     yield f"  cgtorch-report {folder}{code} --output report.html  # the run, and where it fails"
     later = [name for name in run.domain.stages if name not in run.stages]
     if later and not work.auto:
-        yield f"  {_resuming(run)} --stage {later[-1]}  # more stages"
-
-
-def _resuming(run: StoredRun) -> str:
-    """The command that continues a run."""
-    driver = f" --driver {quote(run.settings.driver)}" if run.settings.driver else ""
-    return f"cgtorch-train --resume {_quoted(run)}{_code(run)}{driver}"
+        yield f"  {resuming(run)} --stage {later[-1]}  # more stages"
 
 
 def _quoted(run: StoredRun) -> str:
     """The folder of a run as a word of a shell."""
     return quote(str(run.folder))
-
-
-def _code(run: StoredRun) -> str:
-    """The options that name the user's code of a run, as opening a run imports none by itself."""
-    spec = run.settings.domain
-    domain = f" --domain {quote(spec)}" if is_code(spec) else ""
-    own = (name for name in run.settings.actions if ":" in name)
-    return domain + "".join(f" --actions {quote(name)}" for name in own)

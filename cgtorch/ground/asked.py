@@ -8,6 +8,8 @@ from math import inf
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import CgtorchError
 
+LATE = "the time is over; give more (minutes, --minutes)"
+
 
 class BudgetSpentError(CgtorchError, RuntimeError):
     """The next world action would exceed the budget of the run; it was not asked."""
@@ -79,7 +81,7 @@ class Purse:
         """Count what is asked next; BudgetSpentError, and nothing is counted, beyond a limit."""
         if self.late():
             self.exhausted = True
-            raise BudgetSpentError("the time is over; give more (minutes, --minutes)")
+            raise BudgetSpentError(LATE)
         after = self.total + asked
         for name, limit in self.limits.items():
             if getattr(asked, name) and getattr(after, name) > limit:

@@ -99,7 +99,8 @@ def improve(setup: Setup[S], progress: Progress[S], tests: S, draw: Draw[S]) -> 
         return progress
     old = state.current.skill
     skill = Skill(setup.name, old.graph, old.actions, old.max_transitions)
-    if progress.skill is None and setup.purse.exhausted and not state.tried.any():
+    spent = setup.purse.exhausted and not setup.purse.late()  # else the search can go on
+    if progress.skill is None and spent and not state.tried.any():
         return replace(progress, skill=skill)
     if not accepted:
         return progress

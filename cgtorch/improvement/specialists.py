@@ -20,7 +20,7 @@ from cgtorch.evolution.ask_and_tell import restore
 from cgtorch.evolution.population import random_population, slim
 from cgtorch.graphs import ActionSet, Graphs, pruned
 from cgtorch.ground import distributed as ranks
-from cgtorch.ground.asked import NOTHING, Asked
+from cgtorch.ground.asked import LATE, NOTHING, Asked, BudgetSpentError
 from cgtorch.ground.environment import Environment, asked_of
 from cgtorch.improvement.checkpoint import (
     Found,
@@ -120,7 +120,8 @@ def evolve_candidate(
     """Evolve until all scenarios are solved in the environment and the fitness has settled.
 
     The environment of B scenarios runs on the setup's device. For `keep` (B,) bool and `seeds` see
-    `cgtorch.evolution.evolve`. Results in the journal are not computed again.
+    `cgtorch.evolution.evolve`. Results in the journal are not computed again. BudgetSpentError if
+    the time is over before.
     """
     generator, step = setup.generator, f"evolution {name}"
     settings, journal = setup.evolution, setup.journal
@@ -163,9 +164,11 @@ def evolve_candidate(
     assert found is not None  # noqa: S101  the loop body has run
     # Where the first island is not held, its random numbers have not been drawn.
     generator.set_state(ranks.broadcast(generator.get_state()))
-    if not setup.purse.late():  # else it is not finished
-        journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
-    return _counted(setup, found)
+    counted = _counted(setup, found)
+    if setup.purse.late():  # so it is not finished
+        raise BudgetSpentError(LATE)
+    journal.record(step, {**found_tensors(found), "generator": generator.get_state()})
+    return counted
 
 
 def _of_all_ranks(asked: Asked) -> Asked:

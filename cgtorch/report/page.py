@@ -13,7 +13,6 @@ from cgtorch import __version__
 from cgtorch.domains.domain import rewarded
 from cgtorch.domains.failures import Explained
 from cgtorch.domains.film import animated
-from cgtorch.domains.registry import is_code
 from cgtorch.graphs import load_skill
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.errors import CgtorchError, RunError
@@ -25,6 +24,7 @@ from cgtorch.report.messages import as_time
 from cgtorch.report.plots import draw_fitness, draw_rates, draw_success
 from cgtorch.report.reproduce import changes_of, training_commands
 from cgtorch.report.sections import Stage, model_quality, stage_sections
+from cgtorch.runs.chosen import own_code
 from cgtorch.runs.journal import FOLDER as JOURNAL
 from cgtorch.runs.journal import FileJournal
 from cgtorch.runs.log import Row, read_log, results_in
@@ -114,7 +114,7 @@ def _context(contents: Contents) -> dict[str, Any]:
         "training": training_commands(run, contents.about, contents.log),
         "place": place_of(run.folder).as_posix(),
         "using": _using(contents),
-        "own_code": _own_code(contents),
+        "own_code": own_code(contents.run),
         "time": as_time,
         "interval": _interval,
     }
@@ -239,7 +239,7 @@ def _text(value: object) -> str:
 
 def _using(contents: Contents) -> list[str]:
     """Commands that use the run."""
-    name, rest = shlex.quote(place_of(contents.run.folder).as_posix()), _own_code(contents)
+    name, rest = shlex.quote(place_of(contents.run.folder).as_posix()), own_code(contents.run)
     commands = [
         f"cgtorch-evaluate {name} --scenarios {contents.run.kind} --count 1000{rest}",
         f"cgtorch-export {name} --format state-machine --output skill.py{rest}",
@@ -249,10 +249,3 @@ def _using(contents: Contents) -> list[str]:
         f"tensorboard --logdir {name}",
         f"cgtorch-report {name} --output report.html{rest}",
     ]
-
-
-def _own_code(contents: Contents) -> str:
-    """The options that name code of the user's own."""
-    settings = contents.run.settings
-    rest = [f" --domain {shlex.quote(settings.domain)}"] if is_code(settings.domain) else []
-    return "".join([*rest, *(f" --actions {shlex.quote(a)}" for a in settings.actions if ":" in a)])

@@ -7,7 +7,7 @@ from shlex import quote
 from typing import Any
 
 from cgtorch.domains.domain import Adaptable, Domain
-from cgtorch.domains.registry import make_domain
+from cgtorch.domains.registry import is_code, make_domain
 from cgtorch.graphs import Skill, load_skill, resolve_actions
 from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import ActionError, GraphError, RunError, SettingsError
@@ -100,13 +100,27 @@ def last_skill(
         if (last := folder_of_last(run)) is None:
             raise RunError(
                 f"run {str(path)!r} has no finished stage or round, and no skill of an interrupted "
-                f"one; finish one with cgtorch-train --resume {quote(str(path))}"
+                f"one; finish one with {resuming(run)}"
             )
         return run, load_skill(last / SKILL, run.actions)
     if (path / SKILL).is_file():
         run = read_run(path.absolute().parent, trusted, domain)  # also of "."
         return run, load_skill(path / SKILL, run.actions)
     raise RunError(f"{str(path)!r} is no run and no stage of one; give RUN or RUN/S2")
+
+
+def resuming(run: StoredRun) -> str:
+    """The command that continues a run."""
+    driver = f" --driver {quote(run.settings.driver)}" if run.settings.driver else ""
+    return f"cgtorch-train --resume {quote(str(run.folder))}{own_code(run)}{driver}"
+
+
+def own_code(run: StoredRun) -> str:
+    """The options that name the user's code of a run, as opening a run imports none by itself."""
+    spec = run.settings.domain
+    domain = f" --domain {quote(spec)}" if is_code(spec) else ""
+    own = (name for name in run.settings.actions if ":" in name)
+    return domain + "".join(f" --actions {quote(name)}" for name in own)
 
 
 def lone_skill(

@@ -9,7 +9,7 @@ from math import inf
 from types import FrameType
 
 from cgtorch.ground import distributed as ranks
-from cgtorch.ground.asked import BudgetSpentError, Purse
+from cgtorch.ground.asked import LATE, BudgetSpentError, Purse
 from cgtorch.native.rank_processes import end_others, others_started
 
 GRACE = 2.0  # s, in which a step ends by itself
@@ -42,7 +42,7 @@ def deadline(purse: Purse) -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, SOON)
             return
         end_others()
-        raise BudgetSpentError("the time is over; give more (minutes, --minutes)")
+        raise BudgetSpentError(LATE)
 
     before = signal.signal(signal.SIGALRM, ring)
     signal.setitimer(signal.ITIMER_REAL, max(GRACE, purse.until + GRACE - time.monotonic()))

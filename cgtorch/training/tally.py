@@ -28,7 +28,7 @@ class Tally:
     seconds: float = 0.0  # of all of it
     accepted: SkillAccepted[Any] | None = None
     champion: Population | None = None
-    best: float = -inf  # its fitness
+    best: tuple[int, float] = (-1, -inf)  # what it solves, and its fitness
     skill: Skill | None = None  # the last one that was tried
     in_a_row: int = 0  # fresh scenarios that the last skill solved
     episodes: int = 0  # that a search for the best mean has played
@@ -36,9 +36,11 @@ class Tally:
     def count(self, event: Event) -> None:
         """Update by an event."""
         if isinstance(event, GenerationDone):
-            self._add(1, event.generation, event.seconds)
+            solved = event.solved_w + event.solved_m
+            self._add(1, event.generation, solved, event.seconds)
         elif isinstance(event, EvolutionRecalled):
-            self._add(event.found.generations, event.found, event.found.seconds)
+            found = event.found
+            self._add(found.generations, found, int(found.solved.sum()), found.seconds)
         elif isinstance(event, SkillAccepted):
             self.accepted = event
         elif isinstance(event, Practised):
@@ -46,12 +48,15 @@ class Tally:
         elif isinstance(event, MeanTested):
             self.episodes, self.skill = event.episodes, event.skill
 
-    def _add(self, generations: int, found: Generation | Found, seconds: float) -> None:
+    def _add(
+        self, generations: int, found: Generation | Found, solved: int, seconds: float
+    ) -> None:
         self.generations += generations
         self.transitions += found.transitions
         self.searching += seconds
-        if found.best > self.best:
-            self.champion, self.best = found.champion, found.best
+        # Evolutions on more scenarios come later, so those that are solved come first.
+        if (solved, found.best) > self.best:
+            self.champion, self.best = found.champion, (solved, found.best)
 
     def result(
         self,

@@ -2,7 +2,8 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from math import inf
 from typing import Any, TypeAlias
@@ -12,6 +13,7 @@ from torch import Generator
 
 from cgtorch.domains.domain import Domain, Timed
 from cgtorch.ground import distributed as ranks
+from cgtorch.ground.asked import BudgetSpentError
 from cgtorch.ground.errors import CgtorchError, RunError, SettingsError
 from cgtorch.ground.files import whole_folder
 from cgtorch.improvement.events import (
@@ -180,21 +182,36 @@ def make_stage(
         setup = training.setup(name, journal)
         setup = replace(setup, name=name, generator=generator, watch=listen, kept=kept)
         began, after = time.perf_counter(), before
-        with best_at_hand(run, again, tally, kept), deadline(training.purse):
-            if run.imagines:
-                about = before, tests, draw, run.reward_models
-                aim = run.domain.target_return if target == inf else target
-                after = improve_imagined(for_means(run, setup, aim), *about)
-            elif not training.by_mean(before):
-                after = _improved(training, setup, kind, before, tests, draw)
-            if not run.imagines and training.by_mean(after) and not training.purse.exhausted:
-                after = improve_expected(for_means(run, setup, target), after, tests, draw)
+        with best_at_hand(run, again, tally, kept), _late_as_no_skill(training, name):
+            with deadline(training.purse):
+                if run.imagines:
+                    about = before, tests, draw, run.reward_models
+                    aim = run.domain.target_return if target == inf else target
+                    after = improve_imagined(for_means(run, setup, aim), *about)
+                elif not training.by_mean(before):
+                    after = _improved(training, setup, kind, before, tests, draw)
+                if not run.imagines and training.by_mean(after) and not training.purse.exhausted:
+                    after = improve_expected(for_means(run, setup, target), after, tests, draw)
             tally.seconds = time.perf_counter() - began
-        made = test(after, tally)
+            made = test(after, tally)
+            if made is None and training.purse.late():
+                raise _not_improved(training, name)
         if made is not None:
             _keep(training, name, tally.accepted, made)
             return made
     raise _not_improved(training, name)
+
+
+@contextmanager
+def _late_as_no_skill(training: Training, name: str) -> Iterator[None]:
+    """A context in which the end of the time is a NotImprovedError, wherever it comes."""
+    try:
+        yield
+    except BudgetSpentError as e:
+        if not training.purse.late():
+            raise
+        training.purse.exhausted = True
+        raise _not_improved(training, name) from e
 
 
 def _improved(

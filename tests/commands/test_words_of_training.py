@@ -11,9 +11,10 @@ from trained import SMALL, Trained, copied
 
 from cgtorch import DomainSettings
 from cgtorch.commands import training
-from cgtorch.commands.training import _after, _before, _end, _resuming, usual_processes
+from cgtorch.commands.training import _after, _before, _end, usual_processes
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import Purse
+from cgtorch.runs.chosen import resuming
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.stored_run import AUTO, StoredRun, planned_run, read_run
 from cgtorch.training.session import TrainingRequest, Work
@@ -100,15 +101,15 @@ def test_a_new_run_says_what_it_will_do(
         *steps,
         takes,
         "    tensorboard --logdir runs/one",
-        f"  Ctrl-C stops the run, and this command continues it: {_resuming(run)}",
+        f"  Ctrl-C stops the run, and this command continues it: {resuming(run)}",
     ]
 
 
 def test_the_command_that_continues_a_run_names_the_users_code() -> None:
     run = planned(SMALL)
-    assert _resuming(run) == "cgtorch-train --resume runs/one"
+    assert resuming(run) == "cgtorch-train --resume runs/one"
     own = replace(run.settings, actions=("Wait", "a:B", "c.d:E"), driver="my:Arm", domain="me:Own")
-    assert _resuming(replace(run, settings=own)) == (
+    assert resuming(replace(run, settings=own)) == (
         "cgtorch-train --resume runs/one --domain me:Own --actions a:B --actions c.d:E "
         "--driver my:Arm"
     )
@@ -127,7 +128,7 @@ def test_it_is_said_how_a_run_ended(trained: Trained) -> None:
     plain = work(run, "S1")
     assert _end(plain, []) == "is complete up to S1"
     rounds = replace(work(run), run=planned(SMALL))
-    assert _end(rounds, []) == "has made no round; raise --minutes"
+    assert _end(rounds, []) == "has not finished its first round in time; continue with --resume"
     spent = work(run, limits={"actions": 1500.0, "looks": 5.0})
     spent.purse.exhausted = True
     said = "has spent its budget of 1500 actions and 5 looks; {}; continue with --resume and more"

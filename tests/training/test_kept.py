@@ -3,17 +3,24 @@
 import json
 import time
 from contextlib import nullcontext
+from dataclasses import replace
+from math import inf
 from pathlib import Path
+from typing import Any
 
 import pytest
 from lottery import PaidTombola
-from support import same_nodes
+from reaching import TABLE
+from support import create_run, same_nodes
 
 from cgtorch.graphs import Skill, load_skill
-from cgtorch.improvement.events import Event, MeanTested
+from cgtorch.ground.asked import BudgetSpentError
+from cgtorch.improvement.events import Event, GenerationDone, MeanTested
 from cgtorch.runs.chosen import folder_of_last
+from cgtorch.runs.journal import recalled_generations
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.stored_run import SKILL, StoredRun, planned_run, write_run
+from cgtorch.training import train
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training
 from cgtorch.training.kept import kept_skill
@@ -51,6 +58,38 @@ def interrupted(tmp_path: Path) -> tuple[StoredRun, Skill]:
     assert kept is not None
     assert kept.episodes > 0
     return run, kept.skill
+
+
+def test_it_is_what_has_solved_most_when_the_time_is_over(tmp_path: Path) -> None:
+    settings = RunSettings(models="none", population=40, generations=9)
+    run = replace(create_run(tmp_path / "run", settings), domain=TABLE)
+    done = list[GenerationDone]()
+
+    def watch(event: Event) -> None:
+        if isinstance(event, GenerationDone):
+            done.append(event)
+            training.purse.until = time.monotonic() + 99 * (len(done) < 3)
+
+    training = Training(run, watch, lambda message: nullcontext())
+    assert train_until(training, Goal(target=0.99, rounds=1)) == []
+    assert same_nodes(skill_now(run).graph, done[-1].generation.champion.graphs)
+    assert (len(done), recalled_generations(run.folder)) == (3, 2)
+
+
+@pytest.mark.parametrize("late", [True, False])
+def test_a_search_may_be_broken_off_anywhere_by_the_end_of_the_time_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: bool
+) -> None:
+    def spent(*_: Any) -> Any:
+        training.purse.until = time.monotonic() if late else inf
+        raise BudgetSpentError("nothing is left")
+
+    monkeypatch.setitem(train.METHODS, "compose", spent)
+    run = replace(create_run(tmp_path / "run", RunSettings(models="none")), domain=TABLE)
+    training = Training(run, lambda event: None, lambda message: nullcontext())
+    with nullcontext() if late else pytest.raises(BudgetSpentError, match="nothing is left"):
+        assert train_until(training, Goal(target=0.99, rounds=1)) == []
+    assert training.purse.exhausted is late
 
 
 def skill_now(run: StoredRun) -> Skill:

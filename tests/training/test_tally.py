@@ -78,7 +78,7 @@ def test_what_w_has_lost_is_that_of_the_last_skill() -> None:
     assert result_of(tally)["w_lost"] == 1
 
 
-def done(best: float, transitions: int, champion: Population) -> GenerationDone:
+def done(best: float, transitions: int, champion: Population, solved: int = 1) -> GenerationDone:
     """A generation with this champion, which took a quarter of a second."""
     generation = Generation(
         number=0,
@@ -92,7 +92,7 @@ def done(best: float, transitions: int, champion: Population) -> GenerationDone:
         scores=torch.tensor([[best]]),
         not_finite=0,
     )
-    return GenerationDone("S0", "S0.1", 0, 0, 1, 1, generation, limit=9, seconds=0.25)
+    return GenerationDone("S0", "S0.1", 0, 0, solved, 8, generation, limit=9, seconds=0.25)
 
 
 @pytest.mark.parametrize("best", [[0.1, 0.4, 0.4, 0.2], [-5.0, -2.0, -2.0, -3.0]])
@@ -103,18 +103,34 @@ def test_generations_add_up_and_the_first_of_the_fittest_stays(best: list[float]
         tally.count(done(each, 10 + i, champion))
     assert (tally.generations, tally.transitions, tally.searching) == (4, 46, 1.0)
     assert tally.champion is champions[1]
-    assert tally.best == best[1]
+    assert tally.best == (1, best[1])
 
 
 def test_what_is_recalled_counts_as_if_it_had_been_searched_for() -> None:
     champion = random_population(1, paper_actions(), 4, (2, 4), seeded(0))
-    nothing = torch.zeros(0, dtype=torch.bool)
-    found = Found(champion, nothing, 0.5, 2, generations=5, transitions=30, seconds=1.5)
+    found = Found(
+        champion,
+        torch.tensor([True, False, True]),
+        0.5,
+        2,
+        generations=5,
+        transitions=30,
+        seconds=1.5,
+    )
     tally = Tally()
     tally.count(done(0.1, 10, champion))
     tally.count(EvolutionRecalled("S0", "S0.1", found))
     assert (tally.generations, tally.transitions, tally.searching) == (6, 40, 1.75)
-    assert (tally.champion, tally.best) == (champion, 0.5)
+    assert (tally.champion, tally.best) == (champion, (2, 0.5))
+
+
+def test_who_solves_more_of_many_is_better_than_who_solves_few() -> None:
+    few, many = (random_population(1, paper_actions(), 4, (2, 4), seeded(n)) for n in range(2))
+    tally = Tally()
+    tally.count(done(1.0, 10, few, solved=4))
+    tally.count(done(0.6, 10, many, solved=5))
+    tally.count(done(0.9, 10, few, solved=4))
+    assert tally.champion is many
 
 
 def test_the_last_skill_that_was_tried_is_known_with_what_it_came_to() -> None:
