@@ -21,6 +21,7 @@ from cgtorch.report.messages import asked_of
 from cgtorch.runs.chosen import last_skill
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun
+from cgtorch.training.after import advice_after
 from cgtorch.training.auto import reached
 from cgtorch.training.context import evolution_settings
 from cgtorch.training.session import (
@@ -148,7 +149,7 @@ def _end(work: Work, results: list[dict[str, Any]]) -> str:
         return f"has reached its goal of {work.goal.target:.4g}"
     if not rounds:
         return "has made no round; raise --minutes"
-    return f"has not reached its goal of {work.goal.target:.4g}; continue with --resume"
+    return f"has not reached its goal of {work.goal.target:.4g}; {advice_after(work.run)}"
 
 
 def _after(work: Work) -> Iterator[str]:
