@@ -26,7 +26,6 @@ from cgtorch.improvement.trial import first_percepts
 from cgtorch.runs.settings import Goal
 from cgtorch.runs.storage import load_progress
 from cgtorch.runs.stored_run import AUTO, StoredRun, round_name
-from cgtorch.training.beginning import Beginning
 from cgtorch.training.context import Training
 from cgtorch.training.evaluate import Score, joined, try_on
 from cgtorch.training.start import initial_progress, recall_spent, spent_of
@@ -38,6 +37,7 @@ from cgtorch.training.train import (
     make_stage,
     stage_generator,
 )
+from cgtorch.training.wear import Beginning
 
 TESTS = 41  # the generator of tests, derived like an island's
 BATCH = 400  # scenarios tried before the next look at how many were missed

@@ -15,8 +15,8 @@ from cgtorch.ground.errors import WorldError
 from cgtorch.improvement.events import Event, FreshTested
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.training.auto import train_until
-from cgtorch.training.beginning import Beginning
 from cgtorch.training.context import Training
+from cgtorch.training.wear import Beginning
 
 gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.spaces import Box  # noqa: E402
