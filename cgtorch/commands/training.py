@@ -23,6 +23,7 @@ from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.training.advice import about_search
+from cgtorch.training.after import advice_after
 from cgtorch.training.auto import reached
 from cgtorch.training.context import evolution_settings
 from cgtorch.training.searched import searched_of
@@ -156,7 +157,7 @@ def _end(work: Work, results: list[dict[str, Any]]) -> str:
         kept = folder_of_last(work.run)
         best = "; the best skill so far is kept" if kept else ""
         return f"has not finished its first round in time{best}; continue with --resume"
-    return f"has not reached its goal of {work.goal.target:.4g}; continue with --resume"
+    return f"has not reached its goal of {work.goal.target:.4g}; {advice_after(work.run)}"
 
 
 def _after(work: Work) -> Iterator[str]:

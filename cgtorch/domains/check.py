@@ -100,7 +100,7 @@ def _differs(domain: Domain[Any], world: Environment, who: str, slow: bool) -> s
         return differs
     shared, left = what_is_shared(world), ""
     if not shared and isinstance(world, Episodic) and not isinstance(world, Counting):
-        differs, left = what_differs_late(world, _controls(domain), slow)
+        differs, left = what_differs_late(world, trial_controls(domain), slow)
     if (shared or left) and not differs:
         what = world.what if isinstance(world, Named) else f"{who}'s world"
         how = "when its scenarios began in another order" if shared else "in a second episode"
@@ -112,7 +112,7 @@ def _differs(domain: Domain[Any], world: Environment, who: str, slow: bool) -> s
     return differs
 
 
-def _controls(domain: Domain[Any]) -> torch.Tensor:
+def trial_controls(domain: Domain[Any]) -> torch.Tensor:
     """(N, U) random controls of an episode, within bounds as far as there are any."""
     generator, (low, high) = Generator().manual_seed(0), bounds_of(domain.control)
     shape = STEPS, len(low)

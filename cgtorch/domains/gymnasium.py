@@ -15,21 +15,20 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
-from numpy.typing import NDArray
 from torch import Generator, Tensor
 
 from cgtorch.domains.domain import Domain, Specialists
 from cgtorch.domains.files import Files
 from cgtorch.domains.film import Film
-from cgtorch.domains.gymnasium_episodes import Episodes, Explored
+from cgtorch.domains.gymnasium_episodes import LIMITING, Episodes
 from cgtorch.domains.gymnasium_film import MODE
-from cgtorch.domains.gymnasium_limits import bounds_of_percepts
+from cgtorch.domains.gymnasium_known import Known, found_out, sparingly_found_out
 from cgtorch.domains.gymnasium_models import GymnasiumModels
+from cgtorch.domains.gymnasium_scaling import Scaling
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_world import (
     GymnasiumWorld,
     PlayedWorld,
-    Scaling,
     Success,
     SuccessWorld,
     VectorSteps,
@@ -42,13 +41,7 @@ from cgtorch.ground.errors import DomainError
 from cgtorch.ground.files import read_json, write_json
 
 FILE = "gymnasium.json"
-LOOKS = 20  # random episodes that tell the scale of numbers without bounds
-STEPS = 200  # of each at most
-FEW_LOOKS, FEW_STEPS = 5, 20  # where each step counts
-EVEN = 1e-9  # the largest spread of numbers that do not vary, as a share of the largest
-SINGLE = 1e-6  # the smallest difference of rewards that returns still tell, as a share
-FAMILIAR = ("is_success", "success")
-"""Names in the info of a step that tell of success in many environments."""
+LONG = 1000  # steps of an episode that may never end
 
 
 @dataclass(frozen=True)
@@ -56,23 +49,6 @@ class Starts(ScenarioBatch):
     """Initial states of episodes, given by the `seed` (B,) long of `reset`."""
 
     seed: Tensor
-
-
-@dataclass(frozen=True)
-class Known:
-    """What random episodes tell before a training, which the run keeps.
-
-    Attributes:
-        scaling: The scaling of observations.
-        success: What an info says of success; None if returns count.
-        target: The return from which an episode is solved, if returns count.
-        remark: A sentence about what was found; "" if there is nothing to say.
-    """
-
-    scaling: Scaling
-    success: Success | None = None
-    target: float = 0.0
-    remark: str = ""
 
 
 class EpisodePictures(Pictures["Gymnasium"]):
@@ -100,6 +76,16 @@ class EpisodePictures(Pictures["Gymnasium"]):
         few = f"Only {copies} at once of the environment could be made, which is slow: {why}"
         told = (found, found), (unasked, lacks), (why, few)
         return [remark for so, remark in told if so]
+
+    def advice(self) -> str:
+        """See `Pictures.advice`: where episodes did not end."""
+        episodes = self.domain.episodes
+        if episodes.most_steps < math.inf or (unended := episodes.unended()) < LONG:
+            return ""
+        return (
+            f"an episode of {unended:,} steps had not ended, so it had no return; train anew with "
+            f"a limit of steps ({LIMITING})"
+        )
 
     def film(self, skill: Skill, scenarios: Any, width: int) -> Film | None:
         """See `Pictures.film`: what the environment itself draws."""
@@ -190,29 +176,17 @@ class Gymnasium(Domain[Starts]):
     @cached_property
     def known(self) -> Known:
         """What random episodes tell, which are played when it is first asked for."""
-        return self._found()
+        return found_out(self.settings, self.episodes, self._target())
 
     def sparing(self) -> "Gymnasium":
-        """See `Sparing`: with rewards, numbers with bounds are scaled by these."""
+        """See `Sparing`: with rewards, numbers with telling bounds are scaled by these."""
         if "known" not in vars(self):
-            target, scaling = self._target() or 0.0, self._scaled_by_bounds()
-            return SparingGymnasium(self.settings, Known(scaling, target=target))
+            return SparingGymnasium(self.settings)
         return self if self.known.success else SparingGymnasium(self.settings, self.known)
 
     def pace(self) -> str:
         """See `Timed.pace`."""
         return self.episodes.pace()
-
-    def _scaled_by_bounds(self) -> Scaling:
-        """The scaling of numbers by their bounds, and of others by a few short random episodes."""
-        low, high = bounds_of_percepts(self.episodes.percepts)
-        known = low.isfinite() & high.isfinite() & (low < high)
-        centre, scale = torch.zeros_like(low), torch.ones_like(low)
-        if not bool(known.all()):
-            seen = scaling_of(self.episodes.explored(FEW_LOOKS, FEW_STEPS).percepts)
-            centre, scale = seen.centre, seen.scale
-        middle, half = (low + high) / 2, (high - low) / 2
-        return Scaling(torch.where(known, middle, centre), torch.where(known, half, scale))
 
     def draw(self, kind: str, count: int, generator: Generator) -> Starts:
         """See `Domain.draw`."""
@@ -237,37 +211,6 @@ class Gymnasium(Domain[Starts]):
         ends = success is not None and not success.at_last
         return every.extended(["Test"], [Test()]) if ends else every
 
-    def _found(self) -> Known:
-        """What random episodes tell."""
-        s, seen = self.settings, self.episodes.explored(LOOKS, STEPS)
-        target, scaling = self._target(), scaling_of(seen.percepts)
-        known = [name for name in FAMILIAR if name in seen.infos]
-        name = s.success or (known[0] if known and target is None else "")
-        if not name and target is None:
-            raise DomainError(
-                f"environment {s.environment!r} names no return from which it counts as solved; "
-                "give one as target (--target), or a name in its info as success (--success)"
-            )
-        limit = ""
-        if not seen.ended and self.episodes.most_steps == math.inf:
-            limit = (
-                f"No random episode ended within {STEPS} steps, and the environment names no "
-                "largest number of steps; if its episodes do not end, give one "
-                "(--env max_episode_steps=200)."
-            )
-        if not name:
-            remarks = [limit] if limit else []
-            return Known(scaling, target=target or 0.0, remark=" ".join(remarks + _alike(seen)))
-        remark = "" if s.success else f"An episode is solved by {name} in the info of a step."
-        if name not in seen.infos:
-            others = f"only {', '.join(seen.infos)}" if seen.infos else "as infos were empty"
-            remark = f"No info of {LOOKS} random episodes has {name}, {others}."
-        mean, spread = float(seen.rewards.mean()), float(seen.rewards.std())
-        varies = spread > EVEN * abs(seen.rewards).max()
-        about = s.success_at == "last", mean, spread if varies else 1.0
-        remark = " ".join(each for each in (remark, limit) if each)
-        return Known(scaling, Success(name, *about), remark=remark)
-
     def _target(self) -> float | None:
         """The return from which an episode is solved: the one given, or the environment's own."""
         given = self.settings.target_return
@@ -283,22 +226,15 @@ class Gymnasium(Domain[Starts]):
         )
 
 
-def _alike(seen: Explored) -> list[str]:
-    """A remark if rewards of random episodes are too alike for their size to be told apart."""
-    least, most = float(seen.rewards.min()), float(seen.rewards.max())
-    size = max(abs(least), abs(most))
-    if not 0 < most - least < SINGLE * size:
-        return []
-    return [
-        f"Rewards of random episodes are as large as {size:g} and differ by {most - least:.2g} at "
-        "most, which returns cannot tell in single precision; subtract a constant (--wrappers)."
-    ]
-
-
 class SparingGymnasium(Gymnasium):
     """An environment with rewards in which each step counts, as Γ is learned of it."""
 
     models = GymnasiumModels
+
+    @cached_property
+    def known(self) -> Known:
+        """What a few short random episodes tell, which are played when it is first asked for."""
+        return sparingly_found_out(self.episodes, self._target() or 0.0)
 
 
 def _success(data: Any) -> Success:
@@ -318,17 +254,3 @@ def _episodes(settings: GymnasiumSettings) -> Episodes:
         raise DomainError(
             "domain 'gymnasium' needs package gymnasium; pip install 'cgtorch[gymnasium]'"
         ) from e
-
-
-def scaling_of(percepts: NDArray[Any]) -> Scaling:
-    """The scaling of numbers (N, D) of random episodes; constant numbers are not scaled.
-
-    Bounds can be far too wide for scaling: divided by the bounds of a velocity, all values would be
-    close to 0.
-    """
-    seen = torch.from_numpy(percepts).double()
-    exponent = torch.frexp(seen.abs().amax(0)).exponent
-    share = torch.ldexp(seen, -exponent)  # of a size whose squares are neither infinite nor 0
-    spread = share.std(0)
-    centre, scale = torch.ldexp(share.mean(0), exponent), torch.ldexp(spread, exponent)
-    return Scaling(centre, torch.where(spread > EVEN, scale, 1.0))

@@ -5,6 +5,7 @@ Environments are the user's own code, so here is where their errors and their nu
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -50,6 +51,7 @@ class Episode:
 
     Observations are given as the numbers (D,) of `percepts`. `keys` identify the sequence of
     actions that led to each step; the first is that of the start. `took` is how long calls took.
+    `over` is whether it has ended, and `cut` whether it did so because it had become too long.
     """
 
     name: str
@@ -59,11 +61,13 @@ class Episode:
     limit: float = math.inf
     actions: list[Any] = field(default_factory=list)
     keys: list[int] = field(default_factory=list)
+    over: bool = False
+    cut: bool = False
     took: Mapping[str, Took] = field(default_factory=lambda: {name: Took() for name in METHODS})
 
     def begin(self) -> NDArray[Any]:
         """Start again; returns the first observation. WorldError as for `play`."""
-        self.actions, self.keys = [], []
+        self.actions, self.keys, self.over = [], [], False
         seen, _ = self._asked("reset", lambda: self.environment.reset(seed=self.seed))
         check_defaults(self.where)
         self.keys.append(self.seed % KEYS)
@@ -81,6 +85,7 @@ class Episode:
         try:
             # Unlike `float`, this takes no text.
             reward, over = math.fsum((gained,)), math.fsum(ends) > 0
+            self.cut = bool(ends[1])
         except (TypeError, ValueError):
             said = kind((gained, *ends))
             raise WorldError(
@@ -97,7 +102,8 @@ class Episode:
             raise WorldError(
                 f"{self.where} returned {kind(info)} as info; Gymnasium expects a dict"
             )
-        return seen, reward, over or len(self.actions) >= self.limit, info
+        self.over = over or len(self.actions) >= self.limit
+        return seen, reward, self.over, info
 
     def replay(self, steps: int) -> None:
         """Play again up to a step."""
@@ -152,6 +158,15 @@ class Episode:
                 "finite numbers, leave this one out (percepts, --percepts), or wrap it (--wrappers)"
             )
         return numbers
+
+
+def truth(value: Any) -> bool | None:
+    """Whether a value in an info is true, or above 0.5; None if it is no number."""
+    with suppress(TypeError, ValueError):
+        number = np.asarray(value, dtype=np.float64)  # perhaps an array of one
+        if number.size == 1 and not np.isnan(number).any():
+            return bool(number.item() > 0.5)
+    return None
 
 
 def _kept(action: Any) -> Any:

@@ -9,16 +9,16 @@ given to another episode.
 import os
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgtorch.domains.gymnasium_episode import METHODS, Episode, Took
+from cgtorch.domains.gymnasium_episode import METHODS, Episode, Took, truth
+from cgtorch.domains.gymnasium_explored import Explored, Look
 from cgtorch.domains.gymnasium_film import Filmed
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of, tried
@@ -31,19 +31,8 @@ from cgtorch.native.processes import counted
 
 MOST = 64
 """Number of environments at once; see docs/decisions/interface.md."""
-
-
-@dataclass(frozen=True)
-class Explored:
-    """What random episodes have shown.
-
-    These are percepts (N, D), rewards (M,), the names in infos, and whether any episode ended.
-    """
-
-    percepts: NDArray[Any]
-    rewards: NDArray[np.float64]
-    infos: tuple[str, ...]
-    ended: bool
+LIMITING = "--env max_episode_steps=300"
+"""What gives an environment a limit of steps."""
 
 
 class Episodes:
@@ -66,7 +55,7 @@ class Episodes:
         self._process, self._parents = os.getpid(), dict[int, Any]()
         first, self._limit, self.threshold = self._made()
         self._having = {0: first}  # the environments of episodes, the last one used last
-        self._played = dict[int, Episode]()
+        self._played, self._unended = dict[int, Episode](), 0
         self._took = {method: Took() for method in METHODS}
         name, self.actions = settings.environment, _space(first, "action_space")
         seen = _space(first, "observation_space")
@@ -79,6 +68,11 @@ class Episodes:
     def name(self) -> str:
         """The name of the environment."""
         return self._settings.environment
+
+    @property
+    def wrappers(self) -> tuple[str, ...]:
+        """The user's wrappers of it."""
+        return self._settings.wrappers
 
     def anew(self) -> "Episodes":
         """Episodes in other copies, which have played nothing yet; DomainError if none can be."""
@@ -112,8 +106,13 @@ class Episodes:
 
     def begin(self, seeds: list[int]) -> list[NDArray[Any]]:
         """The first percepts (D,), not scaled, of a batch of episodes with these seeds."""
-        self.batch += 1
+        self.batch, self._unended = self.batch + 1, self.unended()
         return [self._begun(i, seed) for i, seed in enumerate(seeds)]
+
+    def unended(self) -> int:
+        """The most steps of an episode that was left before its end."""
+        left = (len(each.actions) for each in self._played.values() if not each.over)
+        return max(self._unended, *left, 0)
 
     def first(self, seed: int) -> tuple[Any, NDArray[Any]]:
         """The environment's own state and the percept at the start of an episode."""
@@ -143,25 +142,32 @@ class Episodes:
             episode.replay(step)
         return episode
 
-    def explored(self, count: int, most: int) -> Explored:
-        """What `count` episodes with random actions show, with at most `most` steps in each."""
-        percepts, rewards, infos = list[NDArray[Any]](), list[float](), set[str]()
-        ended = False
+    def explored(self, count: int, most: int, names: Sequence[str] = ()) -> Explored:
+        """What `count` episodes with random actions show, with at most `most` steps in each.
+
+        `names` are looked for in infos.
+        """
         actions = tried(self.actions)
         actions.seed(0)
-        more = counted("random episodes", count)
+        looks, more = list[Look](), counted("random episodes", count)
         for seed in range(count):
-            percepts.append(self._begun(0, seed))
-            for _ in range(most):
-                seen, reward, over, info = self._played[0].play(actions.sample())
-                percepts.append(seen)
-                rewards.append(reward)
-                infos.update(key for key in info if isinstance(key, str))
-                if over:
-                    ended = True
-                    break
+            looks.append(self._looked(seed, actions, most, names))
             more(1)
-        return Explored(np.stack(percepts), np.array(rewards), tuple(sorted(infos)), ended)
+        return Explored.joined(looks)
+
+    def _looked(self, seed: int, actions: Any, most: int, names: Sequence[str]) -> Look:
+        """What one episode with actions drawn from a space shows."""
+        percepts, rewards, infos = [self._begun(0, seed)], list[float](), set[str]()
+        told = {name: list[bool]() for name in names}
+        episode = self._played[0]
+        while len(rewards) < most and not episode.over:
+            seen, reward, _, info = episode.play(actions.sample())
+            percepts.append(seen)
+            rewards.append(reward)
+            infos.update(key for key in info if isinstance(key, str))
+            for name, truths in told.items():
+                truths.append(bool(truth(info.get(name))))
+        return Look(percepts, rewards, frozenset(infos), told, episode.over, episode.cut)
 
     def _begun(self, slot: int, seed: int) -> NDArray[Any]:
         """Begin an episode; returns its first percept."""
@@ -212,15 +218,28 @@ class Episodes:
         except Exception as e:
             raise _refusal(name, e, forked=bool(self._parents)) from e
         threshold = getattr(made.spec, "reward_threshold", None)
-        limit = getattr(made.spec, "max_episode_steps", None) or float("inf")
-        self.most_steps = float(limit)
+        limit = _limit_of(made)
         while not self._wrappers and type(made) in (OrderEnforcing, TimeLimit):
             made = made.env
         for spec, wrap in zip(self._settings.wrappers, self._wrappers, strict=True):
             made = _wrapped(spec, wrap, made)
+        self.most_steps = min(limit, _limit_of(made))
         self._open.append((os.getpid(), made))
         check_defaults(f"environment {name!r}")
         return made, float("inf") if self._wrappers else limit, threshold
+
+
+def _limit_of(environment: Any) -> float:
+    """The most steps of an episode, infinite if no wrapper limits them."""
+    from gymnasium import Wrapper
+    from gymnasium.wrappers import TimeLimit
+
+    limit, inner = float("inf"), environment
+    while isinstance(inner, Wrapper):
+        if isinstance(inner, TimeLimit):
+            limit = min(limit, inner._max_episode_steps)
+        inner = inner.env
+    return limit
 
 
 def _refusal(name: str, error: Exception, forked: bool) -> DomainError:

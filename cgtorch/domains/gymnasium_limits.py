@@ -10,6 +10,8 @@ from torch import Tensor
 
 from cgtorch.domains.gymnasium_spaces import FAR, Percepts, parts_of
 
+SLACK = 1e-3  # what numbers may be beyond their bounds by rounding, as a share of the range
+
 
 def bounds_of_percepts(percepts: Percepts) -> tuple[Tensor, Tensor]:
     """The smallest and the largest possible numbers (D,) of observations, infinite if not known."""
@@ -27,6 +29,13 @@ def bounds_of_percepts(percepts: Percepts) -> tuple[Tensor, Tensor]:
     ends = (torch.from_numpy(np.concatenate(each).astype(np.float64)) for each in (low, high))
     least, most = (each if percepts.columns is None else each[percepts.columns] for each in ends)
     return least, most
+
+
+def beyond(low: Tensor, high: Tensor, least: Tensor, most: Tensor) -> tuple[Tensor, Tensor]:
+    """(D,) bool each, whether the least and the most that was seen are clearly beyond bounds."""
+    width = high - low
+    slack = SLACK * torch.where(width.isfinite(), width, 1.0)
+    return least < low - slack, most > high + slack
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cgtorch.domains.gymnasium_limits import Effects, bounds_of_percepts
+from cgtorch.domains.gymnasium_limits import Effects, beyond, bounds_of_percepts
 from cgtorch.domains.percept_limits import Limits
 from cgtorch.domains.registry import NOT_FOUND, foreign
 from cgtorch.domains.rewarded_models import RewardedModels
@@ -31,11 +31,18 @@ class GymnasiumModels(RewardedModels[Any]):
         return self._effects.applied(super().effect(control))
 
     def limits(self, percepts: Tensor) -> Limits:
-        """See `RewardedModels.limits`; numbers that are scaled have scaled bounds."""
+        """See `RewardedModels.limits`; numbers that are scaled have scaled bounds.
+
+        Bounds that some percepts are beyond are none.
+        """
         found, scaling = super().limits(percepts), self.domain.known.scaling
         low, high = bounds_of_percepts(self.domain.episodes.percepts)
         low, high = ((end - scaling.centre) / scaling.scale for end in (low, high))
-        return Limits(low, high, found.circles)
+        seen = percepts.double()
+        below, above = beyond(low, high, seen.amin(0), seen.amax(0))
+        return Limits(
+            torch.where(below, -torch.inf, low), torch.where(above, torch.inf, high), found.circles
+        )
 
 
 class GivenReward:

@@ -134,6 +134,7 @@ def _read(part: Part, size: int | None, observation: Any) -> NDArray[Any]:
     if size is None:
         from gymnasium.spaces import flatten
 
+        _check_choices(part, value)
         value = flatten(part.space, value)
     numbers = np.array(value)
     if numbers.dtype.kind not in "biuf":
@@ -141,6 +142,30 @@ def _read(part: Part, size: int | None, observation: Any) -> NDArray[Any]:
     if size is not None and numbers.size != size:
         raise ValueError(f"{part.name} has {numbers.size} numbers, not {part.space!s:.60}")
     return numbers.ravel()
+
+
+def _check_choices(part: Part, value: Any) -> None:
+    """ValueError for a choice out of its range, which Gymnasium may take for another one."""
+    from gymnasium.spaces import Discrete, MultiDiscrete
+
+    space, values, place = part.space, np.ravel(value), 0
+    if isinstance(space, Discrete):
+        if space.start <= value < space.start + space.n:
+            return
+        least, most = space.start, space.start + space.n - 1
+    elif isinstance(space, MultiDiscrete):
+        starts = _starts(space).ravel()
+        wrong = (values < starts) | (values >= starts + space.nvec.ravel())
+        if not wrong.any():
+            return
+        place = int(wrong.argmax())
+        least, most = starts[place], starts[place] + space.nvec.flat[place] - 1
+    else:
+        return
+    raise ValueError(
+        f"{part.name} has {values[place]!s:.40}, and {space!s:.60} has {least} to {most} there: is "
+        "its start right?"
+    )
 
 
 def percepts_of(space: Any, patterns: Sequence[str], environment: str) -> Percepts:

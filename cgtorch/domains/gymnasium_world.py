@@ -1,7 +1,6 @@
 """Gymnasium environments as a world of lanes, with returns or with success."""
 
 from abc import ABC, abstractmethod
-from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -11,22 +10,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from cgtorch.domains.gymnasium_episode import KEYS, Episode
+from cgtorch.domains.gymnasium_episode import KEYS, Episode, truth
 from cgtorch.domains.gymnasium_episodes import Episodes
+from cgtorch.domains.gymnasium_scaling import Scaling
 from cgtorch.ground.environment import Lanes
 from cgtorch.ground.errors import WorldError
 
 STEPS, RETURN, OVER, SLOT, BATCH, KEY, SOLVED, BEST = range(8)  # columns of a lane's state
 HUGE = 1e38  # beyond which a return is not finite in float32
 MOST_UNSOLVED = 0.45  # of the success of what has not succeeded
-
-
-@dataclass(frozen=True)
-class Scaling:
-    """How observations become percepts: subtract an offset (D,), and divide by a scale (D,)."""
-
-    centre: Tensor
-    scale: Tensor
 
 
 @dataclass(frozen=True)
@@ -48,10 +40,8 @@ class Success:
     def seen(self, info: Any, episode: Episode) -> bool:
         """Whether the info of an episode's step tells of success; WorldError if it is no number."""
         value = info.get(self.name, False)
-        with suppress(TypeError, ValueError):
-            number = np.asarray(value, dtype=np.float64)  # perhaps an array of one
-            if number.size == 1 and not np.isnan(number).any():
-                return bool(number.item() > 0.5)
+        if (found := truth(value)) is not None:
+            return found
         raise WorldError(
             f"the info of {episode.where} has {self.name} {value!r:.60}; name something in it that "
             "is a number, or true or false (--success), or wrap it (--wrappers)"
@@ -62,10 +52,6 @@ class GymnasiumWorld(ABC):
     """An `Environment` of B starts; states begin with steps, return, and whether over."""
 
     frugal = True  # as steps are what searches are compared by
-    advice = (
-        "draw all random numbers from self.np_random, which super().reset(seed=seed) seeds anew, "
-        "keep nothing in a class or module"
-    )
 
     def __init__(self, episodes: Episodes, seeds: Tensor, scaling: Scaling) -> None:
         """The world of starts with seeds (B,)."""
@@ -87,7 +73,21 @@ class GymnasiumWorld(ABC):
     @property
     def what(self) -> str:
         """See `Named.what`."""
-        return f"environment {self._episodes.name!r}"
+        wrappers = " and ".join(self._episodes.wrappers)
+        return f"environment {self._episodes.name!r}" + (f" with {wrappers}" if wrappers else "")
+
+    @property
+    def advice(self) -> str:
+        """See `Named.advice`."""
+        wrapper = (
+            "leave out wrappers that keep statistics (such as NormalizeReward), "
+            if self._episodes.wrappers
+            else ""
+        )
+        return (
+            f"{wrapper}draw all random numbers from self.np_random, which super().reset(seed=seed) "
+            "seeds anew, keep nothing in a class or module"
+        )
 
     def begun_by(self, scenario: int) -> str:
         """See `Named.begun_by`."""
@@ -190,7 +190,8 @@ class Played(GymnasiumWorld):
                     f"{episode.where} comes to a return of {gained + reward:g}; give rewards whose "
                     f"sums are below {HUGE:g}"
                 )
-            common = steps + 1, gained + reward, over or self._ends(told), slot, batch
+            episode.over = over or self._ends(told)
+            common = steps + 1, gained + reward, episode.over, slot, batch
             after.append([*common, episode.keys[-1], *told])
         return torch.tensor(after, dtype=torch.float64), np.array(percepts)
 

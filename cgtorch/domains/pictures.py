@@ -60,6 +60,10 @@ class Pictures(Generic[D]):
         """Sentences that a training says about the domain when it begins."""
         return []
 
+    def advice(self) -> str:
+        """What to change before a training goes on that has not reached its goal; "" if nothing."""
+        return ""
+
     def scenarios(
         self, scenarios: Any, succeeded: Tensor, targets: Tensor, title: str = ""
     ) -> "Figure | None":

@@ -24,8 +24,8 @@ def what_differs_late(environment: Environment, controls: Tensor, slow: bool) ->
     copies = None if slow else _anew(environment)
     rows = torch.zeros(1 if copies is None else ROWS, dtype=torch.long)
     played = environment if copies is None else copies
-    once = returned(WorldError, name, _shown, played, rows, controls)
-    again = returned(WorldError, name, _shown, played, rows, controls[:1])
+    once = returned(WorldError, name, episode_shown, played, rows, controls)
+    again = returned(WorldError, name, episode_shown, played, rows, controls[:1])
     one, other = ({what: seen[[row]] for what, seen in once.items()} for row in (0, -1))
     differs = first_difference(environment, one, other, ROUNDED)
     return differs, first_difference(
@@ -45,8 +45,8 @@ def _anew(environment: Environment) -> Environment | None:
     return copies if getattr(copies, "most_lanes", ROWS) >= ROWS else None
 
 
-def _shown(environment: Environment, rows: Tensor, controls: Tensor) -> dict[str, Tensor]:
-    """Percepts and returns of the same scenario (n,) with the same controls (N, U)."""
+def episode_shown(environment: Environment, rows: Tensor, controls: Tensor) -> dict[str, Tensor]:
+    """Percepts, returns and ends of the same scenario (n,) with the same controls (N, U)."""
     lanes: Lanes = start_lanes(environment, rows, environment.control_size, 0)
     seen, until = {"number {} of the first percept": lanes.percept}, time.monotonic() + SECONDS
     for motion, control in enumerate(controls, 1):
@@ -54,7 +54,10 @@ def _shown(environment: Environment, rows: Tensor, controls: Tensor) -> dict[str
         seen[f"number {{}} of the percept after motion {motion}"] = lanes.percept
         if isinstance(environment, Rewarded):
             seen[f"the return after motion {motion}"] = environment.returns(lanes)
-        over = isinstance(environment, Episodic) and bool(environment.over(lanes).any())
-        if over or time.monotonic() > until:
+        over = torch.zeros(len(rows))
+        if isinstance(environment, Episodic):
+            over = environment.over(lanes).float()
+            seen[f"whether it is over after motion {motion}"] = over
+        if over.any() or time.monotonic() > until:
             break
     return seen

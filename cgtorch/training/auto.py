@@ -37,6 +37,7 @@ from cgtorch.training.train import (
     make_stage,
     stage_generator,
 )
+from cgtorch.training.wear import Beginning
 
 TESTS = 41  # the generator of tests, derived like an island's
 BATCH = 400  # scenarios tried before the next look at how many were missed
@@ -69,11 +70,12 @@ def train_until(training: Training, goal: Goal) -> list[dict[str, Any]]:
     training.purse.until = began + 60 * goal.minutes  # first data are worth nothing by halves
     results = run.results
     first, made = len(results) - len(run.rounds), len(run.rounds)
+    beginning = Beginning.of(run.domain, run.kind)
     while not reached(goal, results[first:]) and made < goal.rounds and not training.purse.late():
         made += 1
         decisions = len(_decisions(results[first:]))
         try:
-            progress, result = _round(training, goal, made, decisions, progress)
+            progress, result = _round(training, goal, made, decisions, progress, beginning)
         except NotImprovedError:
             if not training.purse.exhausted:
                 raise
@@ -109,15 +111,24 @@ def _decisions(rounds: list[dict[str, Any]]) -> list[tuple[int, int]]:
 
 
 def _round(
-    training: Training, goal: Goal, number: int, decisions: int, progress: Progress[Any]
+    training: Training,
+    goal: Goal,
+    number: int,
+    decisions: int,
+    progress: Progress[Any],
+    beginning: Beginning,
 ) -> Made:
-    """Make one round and store it in the run, after `decisions` decisive tests."""
+    """Make one round and store it in the run, after `decisions` decisive tests.
+
+    WorldError if the `beginning` of an episode is not as before the first round.
+    """
     run, name = training.run, round_name(number)
     missed, names = progress.missed, tuple(map(round_name, range(1, number + 1)))
     sizes = len(progress.solved), len(missed)
     training.told(StageStarted(name, names, *sizes, training.attempts))
 
     def test(after: Progress[Any], tally: Tally) -> Made | None:
+        beginning.check(run.domain)
         skill = after.skill
         if skill is None:
             return None

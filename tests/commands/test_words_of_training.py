@@ -123,12 +123,16 @@ def test_commands_can_be_pasted_whatever_the_folder_is_called(trained: Trained) 
     assert all(" 'my run (1) ü'" in line for line in commands)
 
 
-def test_it_is_said_how_a_run_ended(trained: Trained) -> None:
+def test_it_is_said_how_a_run_ended(trained: Trained, monkeypatch: pytest.MonkeyPatch) -> None:
     run = read_run(trained.folder)
     plain = work(run, "S1")
     assert _end(plain, []) == "is complete up to S1"
     rounds = replace(work(run), run=planned(SMALL))
     assert _end(rounds, []) == "has not finished its first round in time; continue with --resume"
+    monkeypatch.setattr(training, "advice_after", lambda run: "give rewards")
+    monkeypatch.setattr(StoredRun, "rounds", ("auto-1",))
+    missed = "has not reached its goal of 0.99; give rewards"
+    assert _end(work(planned(SMALL)), [{"stage": "auto-1", "fresh": None}]) == missed
     spent = work(run, limits={"actions": 1500.0, "looks": 5.0})
     spent.purse.exhausted = True
     said = "has spent its budget of 1500 actions and 5 looks; {}; continue with --resume and more"

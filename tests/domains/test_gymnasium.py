@@ -11,7 +11,8 @@ import torch
 from support import seeded
 
 from cgtorch.domains.check import check_domain
-from cgtorch.domains.gymnasium import Gymnasium, scaling_of
+from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium_scaling import scaling_of
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_world import Played, PlayedWorld, VectorSteps
 from cgtorch.domains.registry import make_domain

@@ -11,7 +11,8 @@ from line_environment import Change, Line, domain_of
 from support import seeded
 
 from cgtorch.domains.check import check_domain
-from cgtorch.domains.gymnasium import Gymnasium, scaling_of
+from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium_scaling import scaling_of
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.domains.gymnasium_spaces import controls_of, tried
 from cgtorch.domains.registry import make_domain

@@ -11,6 +11,7 @@ from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.ground.errors import DomainError
 
 gymnasium = pytest.importorskip("gymnasium")
+from line_environment import domain_of  # noqa: E402
 from tiny_worlds import GOAL, Drawn  # noqa: E402
 
 MADE: list[Any] = []
@@ -85,3 +86,14 @@ def test_limits_and_thresholds_are_those_of_the_environment() -> None:
 def test_what_is_no_wrapper_is_refused(wrapper: str, message: str) -> None:
     with pytest.raises(DomainError, match=message):
         Episodes(GymnasiumSettings(environment=GOAL, wrappers=(wrapper,)))
+
+
+def test_the_longest_episode_that_was_left_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    episodes = domain_of(monkeypatch, {"over": lambda line: line.steps > 4}).episodes
+    assert episodes.unended() == 0, "as all random episodes ended"
+    for steps in (3, 2, 5):
+        episodes.begin([7])
+        for _ in range(steps):
+            one = episodes._played[0]
+            episodes.at(0, episodes.batch, len(one.actions), one.keys[-1]).play(np.zeros(1))
+        assert episodes.unended() == 3

@@ -16,7 +16,8 @@ from cgtorch.improvement.played import Steps
 
 gymnasium = pytest.importorskip("gymnasium")
 
-from cgtorch.domains.gymnasium import Gymnasium, Known  # noqa: E402
+from cgtorch.domains.gymnasium import Gymnasium  # noqa: E402
+from cgtorch.domains.gymnasium_known import Known  # noqa: E402
 from cgtorch.domains.gymnasium_limits import Effects  # noqa: E402
 from cgtorch.domains.gymnasium_models import GymnasiumModels  # noqa: E402
 from cgtorch.domains.gymnasium_world import Success  # noqa: E402
@@ -41,12 +42,11 @@ def models_of(environment: str, **settings: Any) -> GymnasiumModels:
     return GymnasiumModels(domain)
 
 
-def test_bounds_scale_what_has_some_without_a_step_in_the_world() -> None:
+def test_bounds_scale_what_has_some() -> None:
     domain = Gymnasium(GymnasiumSettings("MountainCarContinuous-v0")).sparing()
     scaling = domain.known.scaling
     torch.testing.assert_close(scaling.centre, torch.tensor([-0.3, 0.0]).double())
     torch.testing.assert_close(scaling.scale, torch.tensor([0.9, 0.07]).double())
-    assert not domain.episodes._played
     assert domain.target_return == 90
     limits = GymnasiumModels(domain).limits(torch.zeros(1, 2))
     torch.testing.assert_close(limits.low, -torch.ones(2).double())

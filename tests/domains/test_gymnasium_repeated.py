@@ -1,4 +1,4 @@
-"""Environments whose episodes do not repeat themselves are told, and odd ones remarked upon."""
+"""Environments whose episodes do not repeat themselves are told."""
 
 from typing import Any
 
@@ -69,6 +69,16 @@ def test_an_action_that_is_kept_over_episodes_is_told(monkeypatch: pytest.Monkey
         check_domain(domain_of(monkeypatch, {}), "starts")
 
 
+def test_wrappers_are_named_as_what_may_not_repeat_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    normal = "gymnasium.wrappers:NormalizeReward"
+    domain = domain_of(monkeypatch, {"reward": lambda line: line.place}, wrappers=(normal,))
+    told = rf"'Tiny/Line-v0' with {normal} gave .*; leave out wrappers .* statistics .*, draw all"
+    with pytest.raises(DomainError, match=told):
+        check_domain(domain, "starts")
+
+
 def test_noise_that_begins_late_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     chance = np.random.default_rng(0)
     seen: Change = lambda line: np.array(  # noqa: E731
@@ -87,23 +97,3 @@ def test_a_threshold_that_is_no_number_is_told_unless_a_target_is_given(
     assert domain_of(monkeypatch, {}, target_return=3.0).target_return == 3
     with pytest.raises(DomainError, match=rf"reward_threshold '?{threshold}'?; .*--target"):
         domain_of(monkeypatch, {}, target_return=np.inf)
-
-
-def test_an_environment_that_may_never_end_is_remarked_upon(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    domain = domain_of(monkeypatch, {})
-    assert not domain.known.remark
-    monkeypatch.setattr(gymnasium.spec("Tiny/Line-v0"), "max_episode_steps", None)
-    assert "ended within 200 steps" in domain_of(monkeypatch, {}).known.remark
-    ending: dict[str, Change] = {"over": lambda line: line.steps > 3}
-    assert not domain_of(monkeypatch, ending).known.remark
-
-
-@pytest.mark.parametrize(("size", "alike"), [(1.0, False), (1e4, False), (1e9, True)])
-def test_rewards_that_are_alike_for_their_size_are_remarked_upon(
-    monkeypatch: pytest.MonkeyPatch, size: float, alike: bool
-) -> None:
-    domain = domain_of(monkeypatch, {"reward": lambda line: size + line.place})
-    assert ("subtract a constant (--wrappers)" in domain.known.remark) == alike
-    assert not domain_of(monkeypatch, {"reward": lambda line: size}).known.remark

@@ -251,3 +251,22 @@ def test_what_has_far_too_many_numbers_is_left_out_and_no_action() -> None:
         percepts_of(huge, (), "Huge-v0")
     with pytest.raises(DomainError, match=r"action in Discrete\(.*more than 200,000 numbers; wrap"):
         controls_of(huge, "Huge-v0")
+
+
+@pytest.mark.parametrize(
+    ("space", "value", "told"),
+    [
+        (spaces.Discrete(5), 5, r"observation has 5, and Discrete\(5\) has 0 to 4 there"),
+        (spaces.Discrete(5), -1, "observation has -1, and .* 0 to 4 there"),  # not the last one
+        (spaces.Discrete(5, start=1), 0, "observation has 0, and .* has 1 to 5 there"),
+        (spaces.MultiDiscrete([2, 3]), [1, 3], "observation has 3, and .* has 0 to 2 there"),
+        (spaces.MultiDiscrete([2, 3]), [2, 0], "observation has 2, and .* has 0 to 1 there"),
+    ],
+)
+def test_a_choice_out_of_its_range_is_told(space: Any, value: Any, told: str) -> None:
+    percepts = percepts_of(space, (), "Mine-v0")
+    with pytest.raises(ValueError, match=f"{told}: is its start right"):
+        percepts.of(np.array(value))
+    space.seed(0)
+    for _ in range(20):
+        assert percepts.of(space.sample()).sum() == (1 if isinstance(space, spaces.Discrete) else 2)

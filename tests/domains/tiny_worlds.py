@@ -18,7 +18,10 @@ class Goal(gymnasium.Env[Any, Any]):
         """A point with this speed; the info `says` whether it is there, or some other `value`."""
         place = spaces.Box(-2, 2, (2,), np.float64)
         self.observation_space = spaces.Dict(
-            observation=place, achieved_goal=place, desired_goal=place, mission=spaces.Text(9)
+            observation=spaces.Box(-4, 4, (2,), np.float64),
+            achieved_goal=place,
+            desired_goal=place,
+            mission=spaces.Text(9),
         )
         self.action_space = spaces.Box(-1, 1, (2,), np.float64)
         self.speed, self.says, self.value = speed, says, value

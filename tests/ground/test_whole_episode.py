@@ -85,3 +85,12 @@ def test_one_that_exists_only_once_is_tried_alone() -> None:
     for own in ({"anew": none}, {"most_lanes": 1}):
         assert what_differs_late(course(noise=0.1, **own), CONTROLS, slow=False) == ("", "")
         assert what_differs_late(course(kept=1.0, **own), CONTROLS, slow=False)[1]
+
+
+def test_an_end_that_comes_otherwise_is_seen() -> None:
+    def over(self: Course, lanes: Lanes) -> Tensor:
+        return (lanes.state[:, 0] >= 3) & (torch.arange(len(lanes)) > 0)
+
+    ends = course(over=over)
+    said = "whether it is over after motion 3: 0.0 and 1.0"
+    assert what_differs_late(ends, CONTROLS, slow=False)[0] == said

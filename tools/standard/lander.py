@@ -10,8 +10,9 @@ from functools import cache
 import torch
 
 from cgtorch.domains.gymnasium_episodes import Episodes
+from cgtorch.domains.gymnasium_scaling import Scaling
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_world import PlayedWorld, Scaling
+from cgtorch.domains.gymnasium_world import PlayedWorld
 from standard.task import Starts, Task
 
 NAME = "LunarLander-v3"
