@@ -40,6 +40,8 @@ def tell_in_lines(name: str) -> Callable[[], None]:
             threading.__excepthook__(found)
 
     def unraisable(found: "sys.UnraisableHookArgs") -> None:
+        if isinstance(found.exc_value, KeyboardInterrupt):  # which comes again
+            return
         if not is_told("what ends an object or the program", found.exc_value):
             sys.__unraisablehook__(found)
 

@@ -6,20 +6,19 @@ import itertools
 import math
 import os
 import re
-import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from ctypes.util import find_library
-from functools import partial, reduce
+from functools import reduce
 from pathlib import Path
-from types import FrameType
 from typing import Any, NoReturn, TypeVar
 
 import click
 
 from cgtorch.commands import completion
 from cgtorch.commands.aside import foreign_reason, tell_in_lines
+from cgtorch.commands.interrupts import interrupts
 from cgtorch.ground.ending import end_in_time
 from cgtorch.ground.errors import CgtorchError, WorldError, printable
 
@@ -57,40 +56,35 @@ def run_command(command: click.Command) -> None:
     """Run a command and exit: 0 done, 1 not achieved, 2 bad input, with one line on stderr."""
     name = command.name or "cgtorch"
     tell_no_more = tell_in_lines(name)
-    names = (each for each in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, each))
-    before = {each: signal.getsignal(each) for each in map(signal.Signals.__getitem__, names)}
-    for each, handler in before.items():
-        if handler != signal.SIG_IGN:  # as nohup does
-            signal.signal(each, partial(_interrupt, os.getpid()))
-    try:
-        _call(command, name)
-    except click.exceptions.Exit as e:
-        sys.exit(e.exit_code)
-    except click.ClickException as e:
-        context = e.ctx if isinstance(e, click.UsageError) else None
-        called = name if context is None else context.command_path
-        _end(called, f"{e.format_message().rstrip('.')}; see {called} --help", 2)
-    except CgtorchError as e:
-        notes = getattr(e, "__notes__", ()) if isinstance(e, WorldError) else ()
-        _end(name, "; ".join([str(e), *notes]), 1 if isinstance(e, RuntimeError) else 2)
-    except (KeyboardInterrupt, click.Abort, ctypes.ArgumentError) as e:
-        # ctypes raises an error of its own for a Ctrl-C in its midst.
-        if isinstance(e, ctypes.ArgumentError) and KeyboardInterrupt.__name__ not in str(e):
+    with interrupts.heard():
+        try:
+            _call(command, name)
+        except click.exceptions.Exit as e:
+            sys.exit(e.exit_code)
+        except click.ClickException as e:
+            context = e.ctx if isinstance(e, click.UsageError) else None
+            called = name if context is None else context.command_path
+            _end(called, f"{e.format_message().rstrip('.')}; see {called} --help", 2)
+        except CgtorchError as e:
+            notes = getattr(e, "__notes__", ()) if isinstance(e, WorldError) else ()
+            _end(name, "; ".join([str(e), *notes]), 1 if isinstance(e, RuntimeError) else 2)
+        except (KeyboardInterrupt, click.Abort, ctypes.ArgumentError) as e:
+            # ctypes raises an error of its own for a Ctrl-C in its midst.
+            if isinstance(e, ctypes.ArgumentError) and KeyboardInterrupt.__name__ not in str(e):
+                raise
+            # click wraps errors.
+            notes = (getattr(each, "__notes__", ()) for each in (e, e.__cause__))
+            _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
+        except OSError as e:
+            name_of = os.fsdecode(e.filename) if isinstance(e.filename, bytes) else e.filename
+            where = repr(str(name_of)[:200]) if name_of else "its output or a file"
+            reason = e.strerror or type(e).__name__
+            _end(name, f"cannot read or write {where} ({reason}); check the path and the disk", 2)
+        except (Exception, SystemExit) as e:
+            _end_if_known(name, e)
             raise
-        notes = (getattr(each, "__notes__", ()) for each in (e, e.__cause__))  # click wraps errors
-        _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
-    except OSError as e:
-        name_of = os.fsdecode(e.filename) if isinstance(e.filename, bytes) else e.filename
-        where = repr(str(name_of)[:200]) if name_of else "its output or a file"
-        reason = e.strerror or type(e).__name__
-        _end(name, f"cannot read or write {where} ({reason}); check the path and the disk", 2)
-    except (Exception, SystemExit) as e:
-        _end_if_known(name, e)
-        raise
-    finally:
-        tell_no_more()
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        finally:
+            tell_no_more()
 
 
 def run_program(command: click.Command) -> None:
@@ -110,36 +104,21 @@ def run_program(command: click.Command) -> None:
         end_in_time(command.name or "cgtorch", code)
 
 
-_interrupts = list[int]()
-"""The signals that have come since the command began."""
-
-
 def _call(command: click.Command, name: str) -> None:
     """Run a command; what fails after an interrupt was interrupted, whatever it says.
 
     In the midst of a library's own code, an interrupt can come out as another error.
     """
-    _interrupts.clear()
     try:
         command.main(prog_name=name, standalone_mode=False)
     except (click.exceptions.Exit, click.Abort):
         raise
     except Exception as e:
-        if _interrupts:
+        if interrupts.pending:
             raise KeyboardInterrupt from e
         raise
-
-
-def _interrupt(process: int, number: int, frame: FrameType | None) -> NoReturn:
-    """Treat a request to terminate, or a terminal that is closed, like Ctrl-C.
-
-    It ends a process that code of the user's has forked from this one, without a word.
-    """
-    if os.getpid() != process:
-        signal.signal(number, signal.SIG_DFL)
-        os.kill(os.getpid(), number)
-    _interrupts.append(number)
-    raise KeyboardInterrupt
+    if interrupts.pending:
+        raise KeyboardInterrupt
 
 
 def _end_if_known(name: str, error: BaseException) -> None:

@@ -1,10 +1,10 @@
 """Skills of any domain at work in the browser, picture by picture (`cgtorch-view`)."""
 
 from collections.abc import Mapping
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from cgtorch.commands import common
+from cgtorch.commands.interrupts import interrupts
 from cgtorch.ground.errors import CgtorchError, SettingsError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def play(chosen: "Chosen", count: int, seed: int, host: str, port: int) -> None:
         except CgtorchError as e:
             return episode_page(wish, None, *about, str(e))
 
-    with suppress(KeyboardInterrupt), serving(host, port) as (address, waiting):
+    with interrupts.awaited(), serving(host, port) as (address, waiting):
         common.say(f"{chosen.skill.name} at work: {address} (Ctrl-C ends it)")
         answer_for_ever(waiting, pages)
 

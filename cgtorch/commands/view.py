@@ -1,6 +1,5 @@
 """`cgtorch-view`: watch a skill at work in the browser."""
 
-from contextlib import suppress
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +9,7 @@ import click
 
 from cgtorch.commands import common, outputs
 from cgtorch.commands.completion import runs_or_skills
+from cgtorch.commands.interrupts import interrupts
 from cgtorch.ground.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def command(path: Path, scenarios: str | None, count: int, seed: int, **rest: An
         candidates = {names[n]: c for n, c in more.items()} | candidates
     wish = Wish(chosen.skill.name, against, chosen.kind, count, seed)
     page, address = open_page(candidates, wish, rest["host"], rest["port"])
-    with suppress(KeyboardInterrupt):
+    with interrupts.awaited():
         common.say(f"{chosen.skill.name} at work: {address} (Ctrl-C ends it)")
         play_for_ever(page)
 

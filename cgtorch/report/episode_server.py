@@ -4,7 +4,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from errno import EADDRINUSE
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -94,14 +94,16 @@ def _handler(host: str, waiting: Waiting) -> type[BaseHTTPRequestHandler]:
                 return
             answer: Future[bytes] = Future()
             waiting.put((dict(parse_qsl(place.query)), answer))
-            self._send(HTTPStatus.OK, answer.result())
+            if answer.exception() is None:  # else the viewer has ended
+                self._send(HTTPStatus.OK, answer.result())
 
         def _send(self, status: HTTPStatus, page: bytes) -> None:
-            self.send_response(status)
-            for name, value in {**HEADERS, "Content-Length": str(len(page))}.items():
-                self.send_header(name, value)
-            self.end_headers()
-            self.wfile.write(page)
+            with suppress(OSError):  # of a browser that has left
+                self.send_response(status)
+                for name, value in {**HEADERS, "Content-Length": str(len(page))}.items():
+                    self.send_header(name, value)
+                self.end_headers()
+                self.wfile.write(page)
 
         def log_message(self, *about: Any) -> None:
             """Say nothing of requests."""
