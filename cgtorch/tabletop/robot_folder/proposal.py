@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import takewhile
 from types import MappingProxyType
 from typing import Any
 
@@ -12,15 +11,20 @@ from lxml import etree
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription
-from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf
+from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf
 from cgtorch.tabletop.robot_folder.base import add_frame, base_of, placed_base, rest_positions
 from cgtorch.tabletop.robot_folder.chains import (
     ARM,
     FEW_JOINTS,
-    LEAST_JOINTS,
     chains_of,
     slides_upright,
     told,
+)
+from cgtorch.tabletop.robot_folder.named import (
+    chains_as_named,
+    chains_of_groups,
+    from_base,
+    hand_of,
 )
 from cgtorch.tabletop.robot_folder.solid import solid_arms
 from cgtorch.tabletop.robot_folder.structure import (
@@ -100,15 +104,9 @@ def propose(
     urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
     given = wishes.arms or wishes.groups
     if given:
-        hands = [_hand_of(structure, arm) for arm in given]
-        shared, chains = _chains(structure, hands)
-        for arm, chain in zip(given, chains, strict=True):
-            if not chain:
-                raise RobotError(
-                    f"URDF {str(urdf.path)!r}: arm {arm.name!r} has no joints of its own between "
-                    f"{arm.base_link!r} and {arm.tool_frame!r}: name other links by --arm "
-                    "NAME=BASE_LINK:TOOL_FRAME"
-                )
+        hands = [hand_of(structure, arm) for arm in given]
+        read = chains_as_named if wishes.arms else chains_of_groups
+        shared, chains = read(structure, given, hands)
     else:
         hands, shared, chains = _found(structure, notes)
     structure = replace(structure, urdf=solid_arms(structure, chains, hands, notes))
@@ -120,12 +118,12 @@ def propose(
     torso = _torso(structure, shared, wishes)
     in_arms = {joint.name for chain in chains for joint in chain}
     held = rest_positions(urdf, tuple(in_arms)) | opened | dict(wishes.held)
-    position = None if torso is None else held.pop(torso)
+    position = None if torso is None else held.pop(torso, None)
     position = wishes.torso_position if wishes.torso_position is not None else position
     urdf.model.update_cfg(held if torso is None else {**held, torso: position})
     if torso is not None and wishes.torso_position is None:
         position = _torso_position(structure, urdf.joint(torso), chains)
-    arms = tuple(_from_base(structure, arm) for arm in wishes.arms)
+    arms = tuple(from_base(structure, arm) for arm in wishes.arms)
     if not arms:
         urdf, arms = _arms(structure, hands, chains, notes)
         structure = Structure(urdf, base, corners)
@@ -171,32 +169,6 @@ def _found(structure: Structure, notes: list[str]) -> tuple[list[str], list[Any]
     before = [{joint.name: joint for joint in arm.joints[: arm.shared]} for arm in arms]
     shared = [joint for name, joint in before[0].items() if all(name in each for each in before)]
     return [arm.link for arm in arms], shared, [list(arm.own) for arm in arms]
-
-
-def _hand_of(structure: Structure, arm: Arm) -> str:
-    """The first link of the rigid body of an arm's tool frame."""
-    joints = structure.urdf.joints_between(arm.base_link, arm.tool_frame)
-    moving = [joint for joint in joints if joint.type in MOVING]
-    return str(moving[-1].child if moving else arm.base_link)
-
-
-def _from_base(structure: Structure, arm: Arm) -> Arm:
-    """An arm that begins at the base frame, if it is said to begin at a link above that."""
-    below = arm.base_link in structure.hanging(structure.base)
-    return arm if below else replace(arm, base_link=structure.base)
-
-
-def _chains(structure: Structure, hands: list[str]) -> tuple[list[Any], list[list[Any]]]:
-    """The joints that move all hands, or slide vertically first, and those of each arm alone."""
-    paths = [structure.path(hand) for hand in hands]
-    count = 0
-    if len(paths) > 1:
-        alike = (len({joint.name for joint in each}) == 1 for each in zip(*paths, strict=False))
-        count = sum(takewhile(bool, alike))
-    for i, joint in enumerate(paths[0][: len(paths[0]) - LEAST_JOINTS]):
-        if i >= count and slides_upright(structure, joint):
-            count = i + 1
-    return paths[0][:count], [path[count:] for path in paths]
 
 
 def _torso(structure: Structure, shared: list[Any], wishes: Wishes) -> str | None:
