@@ -25,6 +25,7 @@ from cgtorch.tabletop.robot_folder.solid import solid, sound_inertials
 from cgtorch.tabletop.robot_folder.srdf import Semantics, read_srdf, srdf_beside
 from cgtorch.tabletop.robot_folder.still import without_still
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
+from cgtorch.tabletop.robot_folder.units import check_units, far_meshes
 
 URDF, PICTURE, SHAPES = "robot.urdf", "robot.png", "shapes.json"
 VIEWS = (("from the right", 0, 2), ("from the front", 1, 2), ("from above", 0, 1))
@@ -68,7 +69,9 @@ def make_robot_folder(
     cannot be met; RunError if the folder exists or cannot be written. Then nothing is written.
     """
     mended = list[str]()
-    read, still = without_still(checked_urdf(urdf, read_urdf(urdf, mended)))
+    read = checked_urdf(urdf, read_urdf(urdf, mended))
+    odd = check_units(read)
+    read, still = without_still(read)
     srdf = srdf or srdf_beside(urdf)
     semantics = Semantics() if srdf is None else read_srdf(srdf, read)
     plain, meshes = without_meshes(read, package_places(packages))
@@ -91,7 +94,7 @@ def make_robot_folder(
         robot,
         meshes,
         inertials,
-        (*semantics.notes, *mended, *notes, *proposal.notes),
+        (*semantics.notes, *odd, *far_meshes(meshes), *mended, *notes, *proposal.notes),
         reached(robot, wishes.stand),
     )
 
