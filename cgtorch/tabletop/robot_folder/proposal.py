@@ -20,6 +20,7 @@ from cgtorch.tabletop.robot_folder.chains import (
     slides_upright,
     told,
 )
+from cgtorch.tabletop.robot_folder.hands import BEYOND_END, Tool, open_fingers, tool_of
 from cgtorch.tabletop.robot_folder.named import (
     chains_as_named,
     chains_of_groups,
@@ -27,14 +28,7 @@ from cgtorch.tabletop.robot_folder.named import (
     hand_of,
 )
 from cgtorch.tabletop.robot_folder.solid import solid_arms
-from cgtorch.tabletop.robot_folder.structure import (
-    BEYOND_END,
-    Array,
-    Structure,
-    Tool,
-    open_fingers,
-    tool_of,
-)
+from cgtorch.tabletop.robot_folder.structure import Array, Structure
 from cgtorch.tabletop.robot_folder.turns import upright
 
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
