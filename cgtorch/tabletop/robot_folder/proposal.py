@@ -115,6 +115,8 @@ def propose(
     position = None if torso is None else held.pop(torso, None)
     position = wishes.torso_position if wishes.torso_position is not None else position
     urdf.model.update_cfg(held if torso is None else {**held, torso: position})
+    below = [joint.name for hand in hands for joint in structure.path(hand)]
+    notes += _held_below(held, [name for name in below if name not in wishes.held])
     if torso is not None and wishes.torso_position is None:
         position = _torso_position(structure, urdf.joint(torso), chains)
     arms = tuple(from_base(structure, arm) for arm in wishes.arms)
@@ -170,6 +172,17 @@ def _torso(structure: Structure, shared: list[Any], wishes: Wishes) -> str | Non
         return str(structure.urdf.joint(wishes.torso_joint).name) if wishes.torso_joint else None
     slides = [joint.name for joint in shared if slides_upright(structure, joint)]
     return slides[-1] if slides else None
+
+
+def _held_below(held: Mapping[str, float], names: Sequence[str]) -> list[str]:
+    """A note on joints that are held although they move arms."""
+    found = [f"{name!r} at {held[name]:g}" for name in dict.fromkeys(names) if name in held]
+    if not found:
+        return []
+    return [
+        f"what moves a whole arm is held, {', '.join(found)}: give other positions by --hold, or "
+        "name an arm that has these joints by --arm NAME=BASE_LINK:TOOL_FRAME"
+    ]
 
 
 def _torso_position(structure: Structure, joint: Any, chains: list[list[Any]]) -> float:

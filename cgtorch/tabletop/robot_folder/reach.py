@@ -22,11 +22,14 @@ from cgtorch.tabletop.robot_folder.structure import Structure
 DEPTH, WIDTH, HEIGHT = 0.8, 1.6, 0.75  # m, of the table on which a robot is tried
 OTHERS = (1.2, 0.9, 0.6, 0.45, 0.3, 0.15, 0.05)
 """Other heights (m), where nothing on that table is grasped."""
+BELOW = (-0.1, -0.2, -0.3, -0.5)
+"""Such heights (m) below the floor, for an arm that works below its base: a stand lifts it."""
 BETWEEN = 12  # heights within those of an arm's tool, where nothing is grasped at these either
 POSTURES = 512  # random ones of an arm, by which it is seen how high its tool comes
 AHEAD = 0.05  # m from the footprint to that table
 FARTHER = (0.2, 0.35, 0.5, 0.65)
 """Other such distances (m), where an arm that is long when it is retracted may grasp something."""
+FEW_WAYS = 4  # in which an arm moves its tool, where that is told
 TURNED = 60  # degrees from x at rest that are told
 SIDEWAYS = 0.2  # of an arm's length, how far it leads to the side at least to point somewhere
 DEPTHS, ASIDE = (0.1, 0.2, 0.3), (-0.3, 0.0, 0.3)  # m: where objects are on it
@@ -85,8 +88,12 @@ def objects(robot: Robot, height: float, ahead: float = AHEAD) -> tuple[Tensor, 
 
 
 def _better_height(robot: Robot) -> float | None:
-    """The height at which most of a few objects can be grasped, m; None if none can."""
-    return _best_of(robot, OTHERS) or _best_of(robot, _heights_of_tools(robot))
+    """The height at which most of a few objects can be grasped, m; None if none can.
+
+    It is below the floor only if there is no other.
+    """
+    above = _best_of(robot, OTHERS) or _best_of(robot, _heights_of_tools(robot))
+    return above or _best_of(robot, BELOW)
 
 
 def _approached(robot: Robot, which: int) -> bool:
@@ -144,29 +151,34 @@ def _lifted(robot: Robot, height: float) -> str:
 
 def _better(height: float, count: int, stand: float) -> str:
     """What to do where objects can be grasped at another height."""
+    lifted = f"put it on a stand by --stand {round(stand + HEIGHT - height, 2):g}"
+    if height < 0:
+        return f"below its base it can grasp {count} of {OBJECTS}, so {lifted}"
     found = f"at {height:g} m it can grasp {count} of {OBJECTS}, so make tables of that height"
     if height > HEIGHT:
         return found
-    return f"{found}, or put it on a stand by --stand {round(stand + HEIGHT - height, 2):g}"
+    return f"{found}, or {lifted}"
 
 
 def _hindered(robot: Robot, which: int, height: float) -> str:
     """What hinders an arm on a table of some height, with how many approaches come how far."""
     posed, clear, follows = progress(robot, which, *objects(robot, height))
+    name, ways = robot.arms[which].name, robot.arms[which].freedom
+    few = f"; it moves its tool in {ways} ways only, so it can approach from few sides"
+    few = few if ways <= FEW_WAYS else ""
     if not posed:
         return (
             "no posture within the limits of the joints brings the tool frame to an object "
-            f"at {height:g} m, so correct the tool frame or the limits if that is wrong"
+            f"at {height:g} m, so correct the tool frame or the limits if that is wrong{few}"
         )
     total = OBJECTS * len(APPROACHES)
-    name = robot.arms[which].name
     come = f"arm {name!r} has a posture at {posed} of {total} approaches at {height:g} m"
     if not clear:
         return f"{come}, but all touch the table or the robot: look for shapes that are too big"
     if not follows:
         return (
             f"{come}, clear ones at {clear}, but from none of these it can move 0.10 m back from "
-            "the object and up within the limits of its joints"
+            f"the object and up within the limits of its joints{few}"
         )
     return (
         f"{come}, clear ones at {clear}, and follows {follows} of them, but no clear way leads "

@@ -256,3 +256,25 @@ def test_a_tool_frame_lies_between_fingers_that_are_held_as_wished(tmp_path):
     assert found.words.gripper_joints == {"left_joint": 0.0, "right_joint": 0.04}
     pose = found.urdf.model.get_transform("arm_tool_frame", "hand_link")
     assert pose[1, 3] == pytest.approx(-0.02, abs=1e-6)
+
+
+def test_slides_below_a_torso_are_held_and_told(tmp_path):
+    slides = "".join(
+        link(name) + joint(name, above, "0 0 0.5", axis, "prismatic")
+        for name, above, axis in (
+            ("along", "base", "1 0 0"),
+            ("across", "along", "0 1 0"),
+            ("up", "across", "0 0 1"),
+        )
+    )
+    text = link("base", box("0.3 0.3 1", "0 0 0.5")) + slides + chain("arm", 6, "up")
+    text = f'<robot name="x">{text}</robot>'
+    found = proposed(text, tmp_path)
+    assert found.words.torso_joint == "up_joint"
+    (note,) = (note for note in found.notes if "whole arm" in note)
+    assert note.startswith("what moves a whole arm is held, 'along_joint' at 0, 'across_joint' at")
+    assert "by --hold, or name an arm that has these joints" in note
+    given = proposed(text, tmp_path, Wishes(held={"along_joint": 0.5, "across_joint": 0.0}))
+    assert not any("whole arm" in note for note in given.notes)
+    every = proposed(text, tmp_path, Wishes(arms=(Arm("arm", "base", "arm5"),)))
+    assert not any("whole arm" in note for note in every.notes)

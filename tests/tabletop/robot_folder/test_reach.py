@@ -183,9 +183,10 @@ def test_an_arm_is_as_long_as_its_links_and_what_it_draws_out(
     assert about == said + (f", and the nearest object {near:.2f} m away from that" * bool(far))
 
 
+FOOTPRINT = {"description": SimpleNamespace(footprint=(-0.3, 0.3, -0.2, 0.2), torso_joint=None)}
 ROBOT: Any = SimpleNamespace(
-    arms=[SimpleNamespace(name="left"), SimpleNamespace(name="right")],
-    description=SimpleNamespace(footprint=(-0.3, 0.3, -0.2, 0.2), torso_joint=None),
+    arms=[SimpleNamespace(name="left", freedom=6), SimpleNamespace(name="right", freedom=6)],
+    **FOOTPRINT,
 )
 """One of which no kinematics are asked."""
 
@@ -206,6 +207,26 @@ def test_what_hinders_is_what_no_approach_gets_beyond(
     said = _hindered(ROBOT, 1, 0.6)
     assert told in said
     assert said.startswith("arm 'right' has a posture" if came[0] else "no posture")
+
+
+@pytest.mark.parametrize(("freedom", "few"), [(4, True), (5, False)])
+@pytest.mark.parametrize("came", [(0, 0, 0), (5, 3, 0)])
+def test_an_arm_that_moves_its_tool_in_few_ways_is_told(
+    came: tuple[int, int, int], freedom: int, few: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reach, "progress", lambda *about: came)
+    robot: Any = SimpleNamespace(arms=[SimpleNamespace(name="arm", freedom=freedom)], **FOOTPRINT)
+    told = "; it moves its tool in 4 ways only, so it can approach from few sides"
+    assert _hindered(robot, 0, 0.6).endswith(told) == few
+
+
+def test_an_arm_that_works_below_its_base_needs_a_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _better(-0.2, 3, 0.1) == (
+        "below its base it can grasp 3 of 9, so put it on a stand by --stand 1.05"
+    )
+    monkeypatch.setattr(reach, "_heights_of_tools", lambda robot: (HEIGHT,))
+    monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] < -0.15)
+    assert _better_height(ROBOT) == -0.2
 
 
 def test_a_table_may_become_higher_and_lower_ones_are_a_stand() -> None:
@@ -229,7 +250,7 @@ def test_a_better_height_is_that_of_most_objects(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(reach, "graspable", graspable_at(0.45))
     assert _better_height(ROBOT) == 0.45
     monkeypatch.setattr(reach, "_heights_of_tools", lambda robot: (HEIGHT,))
-    monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] < 0)
+    monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] < -1)
     assert _better_height(ROBOT) is None
 
 
