@@ -13,7 +13,8 @@ from cgtorch.tabletop.robot_folder.chains import FEW_JOINTS
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 FAR = 50.0  # m: no robot reaches as far, but one in millimetres does
-TURNS = 4 * math.pi  # rad: no joint has such a limit, but one in degrees does
+TURNS, ENDLESS = 4 * math.pi, 3600.0
+"""Between these, rad, no joint has its limits, but one in degrees does; beyond, none is meant."""
 SEVERAL = 2  # joints with such limits
 LISTED = 4  # names that a message tells
 
@@ -68,10 +69,10 @@ def _limited(joint: Any) -> bool:
 
 def _degrees(limited: Sequence[Any]) -> tuple[str, ...]:
     ends = {each.name: _farther(each) for each in limited if each.type == "revolute"}
-    wide = [name for name, end in ends.items() if end > TURNS]
+    wide = [name for name, end in ends.items() if TURNS < end <= ENDLESS]
     if len(wide) < SEVERAL:
         return ()
-    most = max(ends.values())
+    most = max(ends[name] for name in wide)
     return (
         f"{listed(wide)} have limits of up to {most:g} rad, which look like degrees: if so, give "
         f"them in rad ({most:g} degrees are {math.radians(most):.4f} rad)",

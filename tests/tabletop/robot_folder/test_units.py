@@ -49,6 +49,7 @@ def test_limits_that_look_like_degrees_are_told_with_the_joints(tmp_path):
     assert note.endswith("give them in rad (180 degrees are 3.1416 rad)")
     assert units_of(tmp_path, BASE, limits(180, 1)) == ()  # one, as of a base that turns
     assert units_of(tmp_path, BASE, limits(4 * math.pi, 6)) == ()
+    assert units_of(tmp_path, BASE, limits(1e6, 6)) == ()  # where no limit is meant
 
 
 def test_a_robot_in_millimetres_is_refused(tmp_path):
