@@ -21,6 +21,7 @@ from cgtorch.tabletop.robot_folder.chains import (
     told,
 )
 from cgtorch.tabletop.robot_folder.hands import BEYOND_END, Tool, open_fingers, tool_of
+from cgtorch.tabletop.robot_folder.lying import lying
 from cgtorch.tabletop.robot_folder.named import (
     chains_as_named,
     chains_of_groups,
@@ -105,6 +106,7 @@ def propose(
         hands, shared, chains = _found(structure, notes)
     structure = replace(structure, urdf=solid_arms(structure, chains, hands, notes))
     structure.urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
+    notes += lying(structure, chains)
     urdf, base = placed_base(structure, found, chains, wishes.stand, notes)
     structure = Structure(urdf, base, corners)
     urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
