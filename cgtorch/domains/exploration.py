@@ -17,6 +17,7 @@ from cgtorch.ground.asked import Purse
 from cgtorch.ground.environment import Dataset, Environment, Episodic, Lanes, start_lanes
 from cgtorch.ground.errors import DataError, DomainError
 from cgtorch.ground.fields import Field, bounds_of, columns_of
+from cgtorch.native.processes import counted
 
 EXPLORATION = "exploration"
 """The phase of world actions."""
@@ -103,9 +104,21 @@ def explore(models: Explored, about: Exploration) -> Dataset:
         DomainError: A control has no bounds.
         BudgetSpentError: The budget does not cover the data that models need.
     """
+    without = counted("motions without success", about.most)
+    try:
+        return _explored(models, about, without)
+    finally:
+        without(about.most)
+
+
+def _explored(models: Explored, about: Exploration, without: Callable[[int], None]) -> Dataset:
+    """The data of an exploration, which counts motions as long as there is no success."""
     robots, error = _Robots(models, about), float("inf")
     data, known = about.known or robots.moved(None, FIRST), None
+    told = 0
     while True:
+        without(about.most if data.succeeded.any() else robots.motions - told)
+        told = robots.motions
         if _rarer(data) >= FEWEST and len(data.percept) >= LEAST:
             before, known = error, about.fit(data)
             error = _error(known)

@@ -36,6 +36,7 @@ from cgtorch.domains.models import Models
 from cgtorch.ground.asked import Asked, BudgetSpentError, Purse
 from cgtorch.ground.environment import Dataset, Environment, Lanes
 from cgtorch.ground.errors import DataError, DomainError
+from cgtorch.native.processes import listening
 from cgtorch.simulation import Recording
 
 
@@ -215,6 +216,26 @@ def test_what_is_not_known_at_first_is_explored_until_it_is() -> None:
     assert len(sizes) == 1
     assert sizes[0] >= FEWEST
     assert len(data.percept) > 2 * FIRST
+
+
+def test_motions_are_counted_until_one_succeeds() -> None:
+    domain = rail_with(succeeded=lambda self, state: state[:, PLACE] > 2.4)
+    told: list[tuple[str, int, int]] = []
+    with listening(lambda *counts: told.append(counts)):
+        explored(domain, 3, most=400, fit=fits(0.1))
+    assert {(what, total) for what, _, total in told} == {("motions without success", 400)}
+    done = [count for _, count, _ in told]
+    assert done == sorted(done)
+    assert done[:2] == [0, FIRST]
+    assert FIRST < sorted(set(done))[-2] < 100  # and then it is over, with the first success
+    assert done[-1] == 400
+
+
+def test_what_is_counted_is_over_where_an_exploration_fails() -> None:
+    told: list[int] = []
+    with listening(lambda what, done, total: told.append(total - done)), pytest.raises(DataError):
+        explored(rail_with(succeeded=lambda self, state: state[:, PLACE] > 1e9), most=30)
+    assert told[-1] == 0
 
 
 def stuck(self: Rail, lanes: Lanes, control: Tensor) -> tuple[Lanes, Tensor]:

@@ -120,6 +120,13 @@ def _clear_of_table(arm: ArmModel, body: Solids, q: Tensor, front: float) -> Ten
     return ways_clear(arm, alone, places, torch.full((len(q),), REACH), q[:, None])
 
 
+def clear_of_robot(arm: ArmModel, scene: Scene, q: Tensor) -> Tensor:
+    """(B,) whether an arm in postures (B, n) touches neither itself nor others of the robot."""
+    robot = (scene.pairs[:, :2] >= OWN).all(1)
+    alone = replace(scene, pairs=scene.pairs[robot], reach=scene.reach[robot])
+    return _clear_of_nothing_else(arm, alone, torch.full((len(q),), REACH), q)
+
+
 def _clear_of_nothing_else(arm: ArmModel, scene: Scene, kind: Tensor, q: Tensor) -> Tensor:
     """(B,) whether postures (B, n) are clear for kinds (B,), with neither table nor object."""
     any_ = torch.full_like(kind, TABLE)  # as no pair has any of these

@@ -125,7 +125,8 @@ def read_urdf(path: Path, notes: list[str] | None = None) -> Any:
     still = led(root)
     if notes is not None and still:
         notes.append(
-            f"{', '.join(still)}: held still, as what they follow does not move or is not there"
+            f"{', '.join(still)}: held still, as what they follow does not move, is not there, or "
+            "follows them in a circle; correct <mimic> if they should move"
         )
     return root
 

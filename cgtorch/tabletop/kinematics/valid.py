@@ -44,9 +44,10 @@ def check_numbers(root: Any, where: str) -> None:
             parts = text.replace(",", " ").split() if count > 1 else [text]
             if len(parts) != count or not all(abs(number(part)) <= most for part in parts):
                 wanted = "three finite numbers" if count > 1 else "a finite number"
+                comma = count == 1 and math.isfinite(number(text.replace(",", ".")))
                 raise RobotError(
                     f"{where}, line {element.sourceline}: {element.tag} {name} is {text!r}: "
-                    f"give {wanted}, of {most:.0e} at most"
+                    f"give {wanted}, of {most:.0e} at most{', with a point' if comma else ''}"
                 )
 
 
@@ -76,7 +77,7 @@ def check_tree(root: Any, where: str) -> None:
             if len(at) > 1:
                 raise RobotError(
                     f"{where}: {what} {name!r} is there {len(at)} times, in lines "
-                    f"{', '.join(at[:LISTED])}: keep one"
+                    f"{', '.join(at[:LISTED])}: keep one, or rename the others"
                 )
     tree: networkx.DiGraph[Any] = networkx.DiGraph()
     tree.add_nodes_from(links)

@@ -7,13 +7,14 @@ they begin, and by whether they stand on the floor.
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from cgtorch.tabletop.robot_folder.fingers import NAMED, depth_of, extent, is_finger, is_jaw
+from cgtorch.tabletop.robot_folder.pairs import Limb, heads, pairs
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 LEAST_JOINTS = 5  # of an arm, after the torso
@@ -32,9 +33,9 @@ NEAR = 0.5  # of the farthest reach of a chain, that of one that is no arm
 PARALLEL = 0.999  # cosine of the axes of rods
 UPRIGHT = 0.9  # cosine of a torso's slide to the vertical
 
-ARM, LEG, HEAD, SHORT, CLOSE, BRANCH, FINGER = (
-    "arm", "a leg", "without fingers, which others have", "too few joints", "its end is close",
-    "on another arm", "a finger",
+ARM, LEG, HEAD, BARE, SHORT, CLOSE, BRANCH, FINGER = (
+    "arm", "a leg", "a head", "without fingers, which others have", "too few joints",
+    "its end is close", "on another arm", "a finger",
 )  # fmt: skip
 
 
@@ -91,8 +92,10 @@ def _judged(structure: Structure, found: list[Chain], least: int) -> list[Chain]
     """The chains with what they are, if an arm has some joints at least."""
     long = [chain for chain in found if len(chain.own) >= least]
     legs = _legs(structure, long, [chain for chain in found if len(chain.own) >= FEW_JOINTS])
-    fingered = any(chain.fingers for chain in long if chain.link not in legs)
     reach = {chain.link: _reach(structure, chain) for chain in long if chain.link not in legs}
+    limbs = [chain for chain in long if chain.link not in legs]
+    necks, mirrored = _beside(structure, limbs, reach)
+    fingered = any(chain.fingers for chain in limbs if chain.link not in necks)
     hand = _hand_alone(structure, found)
 
     def kind(chain: Chain) -> str:
@@ -102,14 +105,34 @@ def _judged(structure: Structure, found: list[Chain], least: int) -> list[Chain]
             return LEG
         if chain.link in hand:
             return FINGER
-        if fingered and not chain.fingers:
+        if chain.link in necks:
             return HEAD
+        if fingered and not chain.fingers and chain.link not in mirrored:
+            return BARE
         first = [each for each in long if each.own[0] is chain.own[0]]
         if max(first, key=lambda each: (each.fingers, reach.get(each.link, 0.0))) is not chain:
             return BRANCH
         return ARM if reach[chain.link] >= NEAR * max(reach.values()) else CLOSE
 
     return [replace(chain, kind=kind(chain)) for chain in found]
+
+
+def _beside(
+    structure: Structure, limbs: list[Chain], reach: Mapping[str, float]
+) -> tuple[set[str], set[str]]:
+    """The ends of heads, and of chains that are as another on the other side, with fingers."""
+    seen = [
+        Limb(
+            structure.pose(chain.own[0].child)[:3, 3],
+            len(chain.own),
+            _length(structure, chain.own),
+            reach[chain.link],
+        )
+        for chain in limbs
+    ]
+    sides = [(limbs[i], limbs[j]) for i, j in pairs(seen)]
+    mirrored = {each.link for side in sides if any(c.fingers for c in side) for each in side}
+    return {limbs[i].link for i in heads(seen)}, mirrored
 
 
 def told(chains: Sequence[Chain]) -> str:

@@ -19,12 +19,14 @@ from cgtorch.tabletop.kinematics.description import DESCRIPTION, RobotDescriptio
 from cgtorch.tabletop.kinematics.fitted import MeshFit, without_meshes
 from cgtorch.tabletop.kinematics.meshes import package_places
 from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf, read_urdf
+from cgtorch.tabletop.robot_folder.homes import better_home
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 from cgtorch.tabletop.robot_folder.reach import Reached, reached
 from cgtorch.tabletop.robot_folder.solid import solid, sound_inertials
 from cgtorch.tabletop.robot_folder.srdf import Semantics, read_srdf, srdf_beside
 from cgtorch.tabletop.robot_folder.still import without_still
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
+from cgtorch.tabletop.robot_folder.units import check_units, far_meshes
 
 URDF, PICTURE, SHAPES = "robot.urdf", "robot.png", "shapes.json"
 VIEWS = (("from the right", 0, 2), ("from the front", 1, 2), ("from above", 0, 1))
@@ -68,7 +70,9 @@ def make_robot_folder(
     cannot be met; RunError if the folder exists or cannot be written. Then nothing is written.
     """
     mended = list[str]()
-    read, still = without_still(checked_urdf(urdf, read_urdf(urdf, mended)))
+    read = checked_urdf(urdf, read_urdf(urdf, mended))
+    odd = check_units(read)
+    read, still = without_still(read)
     srdf = srdf or srdf_beside(urdf)
     semantics = Semantics() if srdf is None else read_srdf(srdf, read)
     plain, meshes = without_meshes(read, package_places(packages))
@@ -80,9 +84,7 @@ def make_robot_folder(
         write_bytes(place / URDF, proposal.urdf.xml)
         words = proposal.words
         try:
-            robot = _loaded(place, words)
-            home = words.home or {name: round(at, 4) for name, at in _at_home(robot).items()}
-            robot = _loaded(place, dataclasses.replace(words, home=home))
+            robot, tried = _at_its_home(place, words, wishes.stand)
         except RobotError as error:
             raise RobotError(str(error).replace(str(place), str(folder))) from None
         write_json(place / SHAPES, [_record(each) for each in meshes])
@@ -91,9 +93,32 @@ def make_robot_folder(
         robot,
         meshes,
         inertials,
-        (*semantics.notes, *mended, *notes, *proposal.notes),
-        reached(robot, wishes.stand),
+        (*semantics.notes, *odd, *far_meshes(meshes), *mended, *notes, *proposal.notes),
+        tried,
     )
+
+
+def _at_its_home(place: Path, words: RobotDescription, stand: float) -> tuple[Robot, Reached]:
+    """The robot at its home, which is written into its folder, and what it can grasp from there.
+
+    Another home is taken if nothing can be grasped from the computed one, but from that.
+    """
+    robot = _loaded(place, words)
+    robot = _loaded(place, dataclasses.replace(words, home=words.home or _home_of(robot)))
+    tried = reached(robot, stand)
+    if not (words.home or tried.somewhere) and (better := better_home(robot)) is not None:
+        robot = _loaded(place, dataclasses.replace(words, home=_home_of(better)))
+        tried = reached(robot, stand)
+    return robot, tried
+
+
+def _home_of(robot: Robot) -> dict[str, float]:
+    """The home of a robot in few digits, within the limits of its joints, rad or m."""
+    found = _at_home(robot)
+    for arm in robot.arms:
+        ends = zip(arm.joint_names, arm.lower.tolist(), arm.upper.tolist(), strict=True)
+        found |= {name: min(max(round(found[name], 4), low), high) for name, low, high in ends}
+    return found
 
 
 def _with_semantics(wishes: Wishes, semantics: Semantics) -> Wishes:

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import takewhile
 from types import MappingProxyType
 from typing import Any
 
@@ -12,25 +11,25 @@ from lxml import etree
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics.description import Arm, RobotDescription
-from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf
+from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf
 from cgtorch.tabletop.robot_folder.base import add_frame, base_of, placed_base, rest_positions
 from cgtorch.tabletop.robot_folder.chains import (
     ARM,
     FEW_JOINTS,
-    LEAST_JOINTS,
     chains_of,
     slides_upright,
     told,
 )
-from cgtorch.tabletop.robot_folder.solid import solid_arms
-from cgtorch.tabletop.robot_folder.structure import (
-    BEYOND_END,
-    Array,
-    Structure,
-    Tool,
-    open_fingers,
-    tool_of,
+from cgtorch.tabletop.robot_folder.hands import BEYOND_END, Tool, open_fingers, tool_of
+from cgtorch.tabletop.robot_folder.lying import lying
+from cgtorch.tabletop.robot_folder.named import (
+    chains_as_named,
+    chains_of_groups,
+    from_base,
+    hand_of,
 )
+from cgtorch.tabletop.robot_folder.solid import solid_arms
+from cgtorch.tabletop.robot_folder.structure import Array, Structure
 from cgtorch.tabletop.robot_folder.turns import upright
 
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
@@ -100,19 +99,14 @@ def propose(
     urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
     given = wishes.arms or wishes.groups
     if given:
-        hands = [_hand_of(structure, arm) for arm in given]
-        shared, chains = _chains(structure, hands)
-        for arm, chain in zip(given, chains, strict=True):
-            if not chain:
-                raise RobotError(
-                    f"URDF {str(urdf.path)!r}: arm {arm.name!r} has no joints of its own between "
-                    f"{arm.base_link!r} and {arm.tool_frame!r}: name other links by --arm "
-                    "NAME=BASE_LINK:TOOL_FRAME"
-                )
+        hands = [hand_of(structure, arm) for arm in given]
+        read = chains_as_named if wishes.arms else chains_of_groups
+        shared, chains = read(structure, given, hands)
     else:
         hands, shared, chains = _found(structure, notes)
     structure = replace(structure, urdf=solid_arms(structure, chains, hands, notes))
     structure.urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
+    notes += lying(structure, chains)
     urdf, base = placed_base(structure, found, chains, wishes.stand, notes)
     structure = Structure(urdf, base, corners)
     urdf.model.update_cfg(rest_positions(urdf) | dict(wishes.held))
@@ -120,12 +114,14 @@ def propose(
     torso = _torso(structure, shared, wishes)
     in_arms = {joint.name for chain in chains for joint in chain}
     held = rest_positions(urdf, tuple(in_arms)) | opened | dict(wishes.held)
-    position = None if torso is None else held.pop(torso)
+    position = None if torso is None else held.pop(torso, None)
     position = wishes.torso_position if wishes.torso_position is not None else position
     urdf.model.update_cfg(held if torso is None else {**held, torso: position})
+    below = [joint.name for hand in hands for joint in structure.path(hand)]
+    notes += _held_below(held, [name for name in below if name not in wishes.held])
     if torso is not None and wishes.torso_position is None:
         position = _torso_position(structure, urdf.joint(torso), chains)
-    arms = tuple(_from_base(structure, arm) for arm in wishes.arms)
+    arms = tuple(from_base(structure, arm) for arm in wishes.arms)
     if not arms:
         urdf, arms = _arms(structure, hands, chains, notes)
         structure = Structure(urdf, base, corners)
@@ -173,37 +169,22 @@ def _found(structure: Structure, notes: list[str]) -> tuple[list[str], list[Any]
     return [arm.link for arm in arms], shared, [list(arm.own) for arm in arms]
 
 
-def _hand_of(structure: Structure, arm: Arm) -> str:
-    """The first link of the rigid body of an arm's tool frame."""
-    joints = structure.urdf.joints_between(arm.base_link, arm.tool_frame)
-    moving = [joint for joint in joints if joint.type in MOVING]
-    return str(moving[-1].child if moving else arm.base_link)
-
-
-def _from_base(structure: Structure, arm: Arm) -> Arm:
-    """An arm that begins at the base frame, if it is said to begin at a link above that."""
-    below = arm.base_link in structure.hanging(structure.base)
-    return arm if below else replace(arm, base_link=structure.base)
-
-
-def _chains(structure: Structure, hands: list[str]) -> tuple[list[Any], list[list[Any]]]:
-    """The joints that move all hands, or slide vertically first, and those of each arm alone."""
-    paths = [structure.path(hand) for hand in hands]
-    count = 0
-    if len(paths) > 1:
-        alike = (len({joint.name for joint in each}) == 1 for each in zip(*paths, strict=False))
-        count = sum(takewhile(bool, alike))
-    for i, joint in enumerate(paths[0][: len(paths[0]) - LEAST_JOINTS]):
-        if i >= count and slides_upright(structure, joint):
-            count = i + 1
-    return paths[0][:count], [path[count:] for path in paths]
-
-
 def _torso(structure: Structure, shared: list[Any], wishes: Wishes) -> str | None:
     if wishes.torso_joint is not None:
         return str(structure.urdf.joint(wishes.torso_joint).name) if wishes.torso_joint else None
     slides = [joint.name for joint in shared if slides_upright(structure, joint)]
     return slides[-1] if slides else None
+
+
+def _held_below(held: Mapping[str, float], names: Sequence[str]) -> list[str]:
+    """A note on joints that are held although they move arms."""
+    found = [f"{name!r} at {held[name]:g}" for name in dict.fromkeys(names) if name in held]
+    if not found:
+        return []
+    return [
+        f"what moves a whole arm is held, {', '.join(found)}: give other positions by --hold, or "
+        "name an arm that has these joints by --arm NAME=BASE_LINK:TOOL_FRAME"
+    ]
 
 
 def _torso_position(structure: Structure, joint: Any, chains: list[list[Any]]) -> float:

@@ -22,9 +22,14 @@ from cgtorch.tabletop.robot_folder.structure import Structure
 DEPTH, WIDTH, HEIGHT = 0.8, 1.6, 0.75  # m, of the table on which a robot is tried
 OTHERS = (1.2, 0.9, 0.6, 0.45, 0.3, 0.15, 0.05)
 """Other heights (m), where nothing on that table is grasped."""
+BELOW = (-0.1, -0.2, -0.3, -0.5)
+"""Such heights (m) below the floor, for an arm that works below its base: a stand lifts it."""
 BETWEEN = 12  # heights within those of an arm's tool, where nothing is grasped at these either
 POSTURES = 512  # random ones of an arm, by which it is seen how high its tool comes
 AHEAD = 0.05  # m from the footprint to that table
+FARTHER = (0.2, 0.35, 0.5, 0.65)
+"""Other such distances (m), where an arm that is long when it is retracted may grasp something."""
+FEW_WAYS = 4  # in which an arm moves its tool, where that is told
 TURNED = 60  # degrees from x at rest that are told
 SIDEWAYS = 0.2  # of an arm's length, how far it leads to the side at least to point somewhere
 DEPTHS, ASIDE = (0.1, 0.2, 0.3), (-0.3, 0.0, 0.3)  # m: where objects are on it
@@ -40,10 +45,12 @@ class Reached:
     Attributes:
         grasps: (9,) bool.
         why: Why there is none, and what suits better, in a sentence; "" if there is one.
+        somewhere: Whether it can grasp one of these, or one at another height or distance.
     """
 
     grasps: Tensor
     why: str = ""
+    somewhere: bool = True
 
 
 def reached(robot: Robot, stand: float = 0.0) -> Reached:
@@ -51,39 +58,66 @@ def reached(robot: Robot, stand: float = 0.0) -> Reached:
 
     Why it can grasp nothing is told with numbers, and with a height of tables that suits it.
     """
-    grasps = graspable(robot, *_objects(robot, HEIGHT))
+    grasps = graspable(robot, *objects(robot, HEIGHT))
     if grasps.any():
         return Reached(grasps)
-    height = _better_height(robot)
     lacks = [_lacking(robot, number) for number in range(len(robot.arms))]
     nearest = min(range(len(lacks)), key=lambda number: lacks[number][0])
     far, about, shoulder = lacks[nearest]
-    if height is not None:
-        most = int(graspable(robot, *_objects(robot, height)).sum())
+    if (height := _better_height(robot)) is not None:
+        most = int(graspable(robot, *objects(robot, height)).sum())
         reason = "" if far else f"; {_hindered(robot, nearest, HEIGHT)}"
         advice = _better(height, most, stand) + _lifted(robot, height)
-    else:
-        reason = f"; nor can it at any height from {min(OTHERS):g} to {max(OTHERS):g} m"
-        suits = min((HEIGHT, *OTHERS), key=lambda height: abs(height - shoulder))
-        advice = _hindered(robot, nearest, suits)
-    return Reached(grasps, f"{about}{reason}; {advice}")
+        return Reached(grasps, f"{about}{reason}; {advice}")
+    if not _approached(robot, nearest) and (farther := _farther(robot)):
+        return Reached(grasps, f"{about}; {farther}")
+    reason = f"; nor can it at any height from {min(OTHERS):g} to {max(OTHERS):g} m"
+    suits = min((HEIGHT, *OTHERS), key=lambda height: abs(height - shoulder))
+    return Reached(grasps, f"{about}{reason}; {_hindered(robot, nearest, suits)}", somewhere=False)
 
 
-def _objects(robot: Robot, height: float) -> tuple[Tensor, Tensor]:
-    """Objects (9, 3) on a table of some height, and the table (9, 6), in the base frame."""
-    edge = robot.description.footprint[1] + AHEAD
+def objects(robot: Robot, height: float, ahead: float = AHEAD) -> tuple[Tensor, Tensor]:
+    """Objects (9, 3) on a table of some height, and the table (9, 6), in the base frame.
+
+    The table is some distance ahead of the footprint, m.
+    """
+    edge = robot.description.footprint[1] + ahead
     position = torch.tensor([[edge + x, y, height] for x in DEPTHS for y in ASIDE])
     table = torch.tensor([edge + DEPTH / 2, 0.0, 0.0, DEPTH, WIDTH, height])
     return position, table.expand(OBJECTS, 6)
 
 
 def _better_height(robot: Robot) -> float | None:
-    """The height at which most of a few objects can be grasped, m; None if none can."""
-    return _best_of(robot, OTHERS) or _best_of(robot, _heights_of_tools(robot))
+    """The height at which most of a few objects can be grasped, m; None if none can.
+
+    It is below the floor only if there is no other.
+    """
+    above = _best_of(robot, OTHERS) or _best_of(robot, _heights_of_tools(robot))
+    return above or _best_of(robot, BELOW)
+
+
+def _approached(robot: Robot, which: int) -> bool:
+    """Whether an arm could come to an object right before the robot, if only its home allowed."""
+    return progress(robot, which, *objects(robot, HEIGHT))[2] > 0
+
+
+def _farther(robot: Robot) -> str:
+    """From which distance on objects at a usual height can be grasped; "" if none can."""
+    rows = [objects(robot, HEIGHT, ahead) for ahead in FARTHER]
+    position, table = (torch.cat(parts) for parts in zip(*rows, strict=True))
+    grasps = graspable(robot, position, table)
+    if not grasps.any():
+        return ""
+    counts = grasps.view(len(FARTHER), OBJECTS).sum(1)
+    best, nearest = int(counts.argmax()), float(position[grasps, 0].min())
+    return (
+        f"it does not reach nearer than about {nearest:.2f} m from its base frame: from "
+        f"{FARTHER[best]:g} m before the table it can grasp {int(counts[best])} of {OBJECTS}"
+    )
 
 
 def _best_of(robot: Robot, heights: tuple[float, ...]) -> float | None:
-    tables = [[part[list(FEW)] for part in _objects(robot, height)] for height in heights]
+    tables = [[part[list(FEW)] for part in objects(robot, height)] for height in heights]
     every = graspable(robot, *(torch.cat(parts) for parts in zip(*tables, strict=True)))
     counts = every.view(len(heights), len(FEW)).sum(1)
     return heights[int(counts.argmax())] if counts.any() else None
@@ -117,29 +151,34 @@ def _lifted(robot: Robot, height: float) -> str:
 
 def _better(height: float, count: int, stand: float) -> str:
     """What to do where objects can be grasped at another height."""
+    lifted = f"put it on a stand by --stand {round(stand + HEIGHT - height, 2):g}"
+    if height < 0:
+        return f"below its base it can grasp {count} of {OBJECTS}, so {lifted}"
     found = f"at {height:g} m it can grasp {count} of {OBJECTS}, so make tables of that height"
     if height > HEIGHT:
         return found
-    return f"{found}, or put it on a stand by --stand {round(stand + HEIGHT - height, 2):g}"
+    return f"{found}, or {lifted}"
 
 
 def _hindered(robot: Robot, which: int, height: float) -> str:
     """What hinders an arm on a table of some height, with how many approaches come how far."""
-    posed, clear, follows = _progress(robot, which, height)
+    posed, clear, follows = progress(robot, which, *objects(robot, height))
+    name, ways = robot.arms[which].name, robot.arms[which].freedom
+    few = f"; it moves its tool in {ways} ways only, so it can approach from few sides"
+    few = few if ways <= FEW_WAYS else ""
     if not posed:
         return (
             "no posture within the limits of the joints brings the tool frame to an object "
-            f"at {height:g} m, so correct the tool frame or the limits if that is wrong"
+            f"at {height:g} m, so correct the tool frame or the limits if that is wrong{few}"
         )
     total = OBJECTS * len(APPROACHES)
-    name = robot.arms[which].name
     come = f"arm {name!r} has a posture at {posed} of {total} approaches at {height:g} m"
     if not clear:
         return f"{come}, but all touch the table or the robot: look for shapes that are too big"
     if not follows:
         return (
             f"{come}, clear ones at {clear}, but from none of these it can move 0.10 m back from "
-            "the object and up within the limits of its joints"
+            f"the object and up within the limits of its joints{few}"
         )
     return (
         f"{come}, clear ones at {clear}, and follows {follows} of them, but no clear way leads "
@@ -147,13 +186,13 @@ def _hindered(robot: Robot, which: int, height: float) -> str:
     )
 
 
-def _progress(robot: Robot, which: int, height: float) -> tuple[int, int, int]:
-    """How many approaches to objects at a height have postures, clear ones, and are followed."""
-    arm, (position, table) = robot.arms[which], _objects(robot, height)
+def progress(robot: Robot, which: int, position: Tensor, table: Tensor) -> tuple[int, int, int]:
+    """How many approaches to objects on tables have postures, clear ones, and are followed."""
+    arm = robot.arms[which]
     paths = torch.cat([waypoints(position, *approach) for approach in APPROACHES])
     places = places_of(position, table)
     path, kept = arm.aimed(paths)
-    which_object = torch.arange(OBJECTS).repeat(len(APPROACHES))[kept]
+    which_object = torch.arange(len(position)).repeat(len(APPROACHES))[kept]
     row, q = arm.candidates(path[:, 2])
     here, kind = places[which_object[row]], torch.full_like(row, POSTURE)
     clear = ways_clear(arm, robot.scenes[which], here, kind, q[:, None])
@@ -174,7 +213,7 @@ def _lacking(robot: Robot, number: int) -> tuple[float, str, float]:
     slides = [joint for joint in moving[1:] if joint.type == "prismatic"]
     drawn = sum(max(abs(joint.limit.lower), abs(joint.limit.upper)) for joint in slides)
     length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum() + drawn)
-    away = np.linalg.norm(_objects(robot, HEIGHT)[0].numpy() - places[0], axis=1)
+    away = np.linalg.norm(objects(robot, HEIGHT)[0].numpy() - places[0], axis=1)
     about = f"arm {arm.name!r} is {length:.2f} m long from its shoulder, {places[0, 2]:.2f} m high"
     near, (x, y) = float(away.min()), (places[-1] - places[0])[:2]
     if (

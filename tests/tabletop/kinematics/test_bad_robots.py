@@ -97,6 +97,7 @@ def test_the_files_are_sound_before_they_are_broken(tmp_path):
          "</collision></link></robot>", "sphere radius is '1e300'"),
         (joined("revolute", LIMIT.format("-1,", 1)), "limit lower is '-1,'"),
         (joined("revolute", LIMIT.format("-1 0", 1)), "give a finite number, of 2e+308 at most"),
+        (joined("revolute", LIMIT.format("-2,17", 1)), "2e+308 at most, with a point"),
         (joined("fixed", '<origin xyz="0 0 0 0"/>'), "give three finite numbers, of 1e+06 at most"),
         ("<robot>" + "".join(f'<link name="l{i}"/>' for i in range(501)) + "</robot>",
          "has 501 links"),
@@ -301,7 +302,7 @@ def test_lines_are_told(tmp_path):
             f"<robot>\n{LINKS}\n" + '<joint name="j" type="fixed"/></robot>',
             "line 3: joint 'j' has the",
         ),
-        ('<robot>\n<link name="a"/>\n<link name="a"/></robot>', "times, in lines 2, 3: keep one"),
+        ('<robot>\n<link name="a"/>\n<link name="a"/></robot>', "lines 2, 3: keep one, or rename"),
     ):
         assert message in fails(load_urdf, robot(tmp_path, text))
 

@@ -32,7 +32,10 @@ def test_what_follows_nothing_that_moves_is_held_still_and_told_once(tmp_path, c
     """A joint that is not there, itself, or a fixed joint."""
     path, notes = urdf_of(tmp_path, *rows(leader, kind="fixed", more="")), list[str]()
     urdf = checked_urdf(path, read_urdf(path, notes))
-    assert notes == ["b_joint: held still, as what they follow does not move or is not there"]
+    assert notes == [
+        "b_joint: held still, as what they follow does not move, is not there, or follows them in "
+        "a circle; correct <mimic> if they should move"
+    ]
     assert urdf.joint("b_joint").type == "fixed"
     assert turn_of(urdf, "b") == pytest.approx(0.1)
     assert not [each for each in caplog.records if each.levelno >= logging.WARNING]

@@ -9,9 +9,9 @@ from small_urdfs import LIMIT, box, chain, fingers, joint, link, urdf_of
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
 from cgtorch.tabletop.robot_folder.chains import (
+    BARE,
     BRANCH,
     CLOSE,
-    HEAD,
     LEG,
     SHORT,
     _freedom,
@@ -119,7 +119,7 @@ def test_legs_may_hang_from_a_waist_and_may_have_wheels_or_claws(tmp_path):
 def test_a_head_without_fingers_is_no_arm_where_others_have_some(tmp_path):
     hand = chain("arm", 6, "base", first="0 0.3 0.9") + fingers("hand", "arm5")
     neck = chain("neck", 5, "base", "0 0 0.1", "0 0 1")
-    assert kinds(structure_of(tmp_path, BASE, hand, neck)) == {"arm5": "arm", "neck4": HEAD}
+    assert kinds(structure_of(tmp_path, BASE, hand, neck)) == {"arm5": "arm", "neck4": BARE}
     other = chain("arm", 6, "base", "0 0 0.3", "0 0.3 0.9")
     assert kinds(structure_of(tmp_path, BASE, other, neck)) == {"arm5": "arm", "neck4": CLOSE}
 
@@ -185,7 +185,7 @@ def test_a_jaw_may_be_open_at_rest(tmp_path, low, high, kind, jaw):
 def test_a_camera_at_an_arm_and_joints_that_follow_change_nothing(tmp_path):
     arm = chain("arm", 6, "base", first="0 0 1")
     camera = chain("camera", 2, "arm3", "0 0 0.2", "0.1 0 0"), fingers("hand", "arm5")
-    assert kinds(structure_of(tmp_path, BASE, arm, *camera)) == {"arm5": "arm", "camera1": HEAD}
+    assert kinds(structure_of(tmp_path, BASE, arm, *camera)) == {"arm5": "arm", "camera1": BARE}
     camera = chain("camera", 2, "arm3", "0 0 0.02", "0 0 0", box("0.01 0.01 0.4"))
     assert kinds(structure_of(tmp_path, BASE, arm, camera)) == {"arm5": "arm", "camera1": BRANCH}
     follows = link("f") + joint("f", "arm5", more=f'<mimic joint="arm5_joint"/>{LIMIT}')

@@ -14,7 +14,6 @@ from cgtorch.tabletop.kinematics.fitted import without_meshes
 from cgtorch.tabletop.robot_folder.proposal import (
     Wishes,
     _body,
-    _chains,
     _footprint,
     _names,
     _side,
@@ -216,22 +215,6 @@ def test_the_body_is_what_is_high_enough_for_an_arm(tmp_path):
     assert _body(structure, {"arm"}) == ("mast",)
 
 
-def test_what_moves_all_hands_or_lifts_them_is_the_torso(tmp_path):
-    lift = link("lift") + joint("lift", "base", "0 0 1", "0 0 1", "prismatic")
-    arms = [chain(name, 6, "lift", first=f"0 {y} 0.1") for name, y in (("p", 0.3), ("q", -0.3))]
-    structure, _ = parts_of(tmp_path, link("base"), lift, *arms)
-
-    def found(*hands):
-        shared, own = _chains(structure, list(hands))
-        return [each.name for each in shared], [[each.name for each in one] for one in own]
-
-    one, other = ([f"{name}{i}_joint" for i in range(6)] for name in "pq")
-    assert found("p5", "q5") == (["lift_joint"], [one, other])
-    assert found("p5") == (["lift_joint"], [one])
-    assert found("p3") == ([], [["lift_joint", *one[:4]]])  # which needs the lift
-    assert found("p5", "p3") == (["lift_joint", *one[:4]], [one[4:], []])
-
-
 def test_a_slide_below_one_of_two_arms_is_no_torso(tmp_path):
     """As where each arm has a lift of its own."""
     text = link("base", box("0.3 0.3 0.3", "0 0 0.15"))
@@ -244,15 +227,11 @@ def test_a_slide_below_one_of_two_arms_is_no_torso(tmp_path):
     assert words.gripper_joints == {"left_lift_joint": 0.0, "right_lift_joint": 0.0}
 
 
-@pytest.mark.parametrize("other", [("base", "p3"), ("base", "p1"), ("base", "base")])
-def test_an_arm_without_joints_of_its_own_is_named(tmp_path, other):
+def test_an_arm_without_joints_of_its_own_is_named(tmp_path):
     text = "".join((link("base", box("0.3 0.3 1", "0 0 0.5")), chain("p", 4, "base", first=FRONT)))
-    wish = Wishes(arms=(Arm("whole", "base", "p3"), Arm("part", *other)))
-    with pytest.raises(RobotError, match=rf"no joints of its own between 'base' and '{other[1]}'"):
+    wish = Wishes(arms=(Arm("whole", "base", "p3"), Arm("part", "base", "base")))
+    with pytest.raises(RobotError, match="no joints of its own between 'base' and 'base'"):
         proposed(f'<robot name="x">{text}</robot>', tmp_path, wish)
-    alone = Wishes(arms=(Arm("whole", "base", "base"),))
-    with pytest.raises(RobotError, match="arm 'whole' has no joints of its own"):
-        proposed(f'<robot name="x">{text}</robot>', tmp_path, alone)
 
 
 def test_a_tool_frame_has_a_name_of_its_own_and_one_arm_is_no_others(tmp_path):
@@ -277,3 +256,25 @@ def test_a_tool_frame_lies_between_fingers_that_are_held_as_wished(tmp_path):
     assert found.words.gripper_joints == {"left_joint": 0.0, "right_joint": 0.04}
     pose = found.urdf.model.get_transform("arm_tool_frame", "hand_link")
     assert pose[1, 3] == pytest.approx(-0.02, abs=1e-6)
+
+
+def test_slides_below_a_torso_are_held_and_told(tmp_path):
+    slides = "".join(
+        link(name) + joint(name, above, "0 0 0.5", axis, "prismatic")
+        for name, above, axis in (
+            ("along", "base", "1 0 0"),
+            ("across", "along", "0 1 0"),
+            ("up", "across", "0 0 1"),
+        )
+    )
+    text = link("base", box("0.3 0.3 1", "0 0 0.5")) + slides + chain("arm", 6, "up")
+    text = f'<robot name="x">{text}</robot>'
+    found = proposed(text, tmp_path)
+    assert found.words.torso_joint == "up_joint"
+    (note,) = (note for note in found.notes if "whole arm" in note)
+    assert note.startswith("what moves a whole arm is held, 'along_joint' at 0, 'across_joint' at")
+    assert "by --hold, or name an arm that has these joints" in note
+    given = proposed(text, tmp_path, Wishes(held={"along_joint": 0.5, "across_joint": 0.0}))
+    assert not any("whole arm" in note for note in given.notes)
+    every = proposed(text, tmp_path, Wishes(arms=(Arm("arm", "base", "arm5"),)))
+    assert not any("whole arm" in note for note in every.notes)

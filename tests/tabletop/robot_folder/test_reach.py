@@ -21,6 +21,7 @@ from cgtorch.tabletop.robot_folder.make import make_robot_folder
 from cgtorch.tabletop.robot_folder.reach import (
     AHEAD,
     ASIDE,
+    DEPTH,
     DEPTHS,
     HEIGHT,
     OTHERS,
@@ -30,7 +31,7 @@ from cgtorch.tabletop.robot_folder.reach import (
     _better_height,
     _hindered,
     _lacking,
-    _objects,
+    objects,
     reached,
 )
 
@@ -66,7 +67,7 @@ def robot_with(
 
 def test_objects_stand_on_a_table_right_before_the_footprint(folder: Path) -> None:
     robot = load_robot(description=folder)
-    at, table = _objects(robot, 0.6)
+    at, table = objects(robot, 0.6)
     edge = robot.description.footprint[1] + AHEAD
     assert at.shape == (9, 3)
     assert table[0].tolist() == pytest.approx([edge + 0.4, 0, 0, 0.8, 1.6, 0.6])
@@ -74,7 +75,7 @@ def test_objects_stand_on_a_table_right_before_the_footprint(folder: Path) -> No
     assert {round(x - edge, 3) for x in at[:, 0].tolist()} == {0.1, 0.2, 0.3}
     assert {round(y, 3) for y in at[:, 1].tolist()} == {-0.3, 0.0, 0.3}
     found = reached(robot)
-    assert found.grasps.tolist() == graspable(robot, *_objects(robot, 0.75)).tolist()
+    assert found.grasps.tolist() == graspable(robot, *objects(robot, 0.75)).tolist()
     assert found.grasps.any()
     assert found.why == ""
 
@@ -182,9 +183,10 @@ def test_an_arm_is_as_long_as_its_links_and_what_it_draws_out(
     assert about == said + (f", and the nearest object {near:.2f} m away from that" * bool(far))
 
 
+FOOTPRINT = {"description": SimpleNamespace(footprint=(-0.3, 0.3, -0.2, 0.2), torso_joint=None)}
 ROBOT: Any = SimpleNamespace(
-    arms=[SimpleNamespace(name="left"), SimpleNamespace(name="right")],
-    description=SimpleNamespace(footprint=(-0.3, 0.3, -0.2, 0.2), torso_joint=None),
+    arms=[SimpleNamespace(name="left", freedom=6), SimpleNamespace(name="right", freedom=6)],
+    **FOOTPRINT,
 )
 """One of which no kinematics are asked."""
 
@@ -201,10 +203,30 @@ ROBOT: Any = SimpleNamespace(
 def test_what_hinders_is_what_no_approach_gets_beyond(
     came: tuple[int, int, int], told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reach, "_progress", lambda *about: came)
+    monkeypatch.setattr(reach, "progress", lambda *about: came)
     said = _hindered(ROBOT, 1, 0.6)
     assert told in said
     assert said.startswith("arm 'right' has a posture" if came[0] else "no posture")
+
+
+@pytest.mark.parametrize(("freedom", "few"), [(4, True), (5, False)])
+@pytest.mark.parametrize("came", [(0, 0, 0), (5, 3, 0)])
+def test_an_arm_that_moves_its_tool_in_few_ways_is_told(
+    came: tuple[int, int, int], freedom: int, few: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reach, "progress", lambda *about: came)
+    robot: Any = SimpleNamespace(arms=[SimpleNamespace(name="arm", freedom=freedom)], **FOOTPRINT)
+    told = "; it moves its tool in 4 ways only, so it can approach from few sides"
+    assert _hindered(robot, 0, 0.6).endswith(told) == few
+
+
+def test_an_arm_that_works_below_its_base_needs_a_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _better(-0.2, 3, 0.1) == (
+        "below its base it can grasp 3 of 9, so put it on a stand by --stand 1.05"
+    )
+    monkeypatch.setattr(reach, "_heights_of_tools", lambda robot: (HEIGHT,))
+    monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] < -0.15)
+    assert _better_height(ROBOT) == -0.2
 
 
 def test_a_table_may_become_higher_and_lower_ones_are_a_stand() -> None:
@@ -228,7 +250,7 @@ def test_a_better_height_is_that_of_most_objects(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(reach, "graspable", graspable_at(0.45))
     assert _better_height(ROBOT) == 0.45
     monkeypatch.setattr(reach, "_heights_of_tools", lambda robot: (HEIGHT,))
-    monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] < 0)
+    monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] < -1)
     assert _better_height(ROBOT) is None
 
 
@@ -241,6 +263,7 @@ def test_the_nearest_arm_is_told_of_and_what_suits_it(
     monkeypatch.setattr(reach, "_hindered", lambda robot, *about: f"hindered {about}")
     monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] == 0.6)
     monkeypatch.setattr(reach, "_better_height", lambda robot: None)
+    monkeypatch.setattr(reach, "_approached", lambda *about: True)
     found = reached(ROBOT)
     assert found.grasps.tolist() == [False] * 9
     heights = f"{min(OTHERS):g} to {max(OTHERS):g} m"
@@ -298,3 +321,28 @@ def test_a_torso_makes_up_for_a_height_within_its_limits(
     )
     robot: Any = SimpleNamespace(urdf=urdf, description=words)
     assert reach._lifted(robot, height) == said
+
+
+def test_an_arm_that_is_long_when_retracted_is_told_from_where_it_reaches(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def beyond(robot: Robot, position: Tensor, table: Tensor) -> Tensor:
+        far = (position[:, 0] > 0.3 + 0.5) & (table[:, 0] > 0.3 + DEPTH / 2 + 0.49)
+        return far & (position[:, 1] == 0) & (table[:, 5] == HEIGHT)
+
+    monkeypatch.setattr(reach, "_lacking", lambda robot, number: (0.0, "the arm", 1.0))
+    monkeypatch.setattr(reach, "_better_height", lambda robot: None)
+    monkeypatch.setattr(reach, "graspable", beyond)
+    monkeypatch.setattr(reach, "progress", lambda *about: (3, 2, 0))
+    found = reached(ROBOT)
+    assert found.somewhere
+    assert found.why == (
+        "the arm; it does not reach nearer than about 0.90 m from its base frame: from 0.5 m "
+        "before the table it can grasp 3 of 9"
+    )
+    monkeypatch.setattr(reach, "_hindered", lambda *about: "hindered by its home")
+    monkeypatch.setattr(reach, "progress", lambda *about: (3, 2, 1))
+    assert reached(ROBOT).why.endswith("hindered by its home")
+    monkeypatch.setattr(reach, "progress", lambda *about: (3, 2, 0))
+    monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] < 0)
+    assert not reached(ROBOT).somewhere

@@ -10,20 +10,19 @@ import pytest
 from small_urdfs import LIMIT, box, chain, fingers, joint, link, urdf_of
 
 from cgtorch.tabletop.kinematics import load_urdf
-from cgtorch.tabletop.robot_folder.structure import (
+from cgtorch.tabletop.robot_folder.hands import (
     BEYOND_END,
     FROM_TIP,
     JAW_OPEN,
     MOST_TRIED,
     STEPS,
-    Structure,
     _across,
     _approach,
     _opening,
-    _outline,
     open_fingers,
     tool_of,
 )
+from cgtorch.tabletop.robot_folder.structure import Structure, _outline
 
 BASE = link("base", box("0.3 0.3 1", "0 0 0.5"))
 PLATE = link("plate", "") + joint("plate", "base", "0 0 2", kind="fixed", more="")
