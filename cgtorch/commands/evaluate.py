@@ -11,6 +11,7 @@ import click
 from cgtorch.commands import common, outputs
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.statistics import wilson
+from cgtorch.runs.replacing import check_output
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
@@ -69,7 +70,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     the built-in PR2.
     """
     if rest["picture"]:
-        outputs.check_output(rest["picture"], rest["force"], path, "--picture")
+        check_output(rest["picture"], rest["force"], path, "--picture")
     if rest["failures"]:
         common.draw_without_display()
     with common.importing():

@@ -16,14 +16,15 @@ from cgtorch.domains.registry import (
     spec_of_class,
     with_name,
 )
-from cgtorch.domains.settings import known_options
 from cgtorch.graphs import Skill, load_skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import write_bytes
+from cgtorch.ground.given import given_path, known_options
 from cgtorch.report import ProgressDisplay
 from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import read_log
+from cgtorch.runs.replacing import check_output
 from cgtorch.runs.settings import Goal, RunSettings, defaults_of
 from cgtorch.runs.stored_run import SKILL, StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
@@ -93,11 +94,17 @@ class Run(StoredRun):
         known = Background() if last is None else background_of(self, last)
         return failures_of(self.skill if skill is None else skill, self.domain, score, known)
 
-    def report(self, path: Path | str) -> None:
-        """Write the run as one HTML page."""
+    def report(self, path: Path | str, force: bool = False) -> None:
+        """Write the run as one HTML page.
+
+        With `force`, a file that exists is replaced, unless it is one of the run's own; RunError
+        otherwise.
+        """
         from cgtorch.report.page import report_page
 
-        write_bytes(Path(path), report_page(self, explained(self)))
+        output = given_path(path)
+        check_output(output, force, self.folder, "path", "give force=True")
+        write_bytes(output, report_page(self, explained(self)))
 
     def resume(
         self,

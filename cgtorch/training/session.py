@@ -10,11 +10,12 @@ import torch
 
 from cgtorch import native
 from cgtorch.domains.domain import Domain, rewarded
-from cgtorch.domains.settings import LAST, DomainSettings, known_options, to_plain
+from cgtorch.domains.settings import LAST, DomainSettings, to_plain
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.errors import RunError, SettingsError
+from cgtorch.ground.given import known_options
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.report import ProgressDisplay, TensorBoardWatch
 from cgtorch.runs.changes import overridden, refuse_others

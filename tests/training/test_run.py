@@ -72,6 +72,25 @@ def test_a_run_tells_all_that_it_has(whole: cgtorch.Run, tmp_path: Path) -> None
     assert run.log()[0]["event"] == "asked"
 
 
+def test_a_report_replaces_no_file_unasked_and_never_one_of_the_run(
+    whole: cgtorch.Run, tmp_path: Path
+) -> None:
+    page, log = tmp_path / "page.html", whole.folder / "log.jsonl"
+    page.write_text("precious")
+    before = log.read_bytes()
+    with pytest.raises(RunError, match="exists; choose another path or give force=True"):
+        whole.report(page)
+    assert page.read_text() == "precious"
+    for part in (log, whole.folder / "auto-1" / "skill.json"):
+        with pytest.raises(RunError, match=r"is a part of .*, which is read; choose another path"):
+            whole.report(part, force=True)
+    with pytest.raises(RunError, match=r"'.' is a folder; choose another path"):
+        whole.report(".")
+    assert log.read_bytes() == before
+    whole.report(page, force=True)
+    assert b"auto-1" in page.read_bytes()
+
+
 def test_the_reference_run_tells_all_that_it_has() -> None:
     run = cgtorch.open_run(REFERENCE)
     assert list(run.skills) == [row["stage"] for row in run.ledger] == list(run.stages)
