@@ -29,9 +29,9 @@ def given_path(value: object, what: str = "path") -> Path:
 
 def whole_number(value: object, what: str, least: int, most: int) -> int:
     """A whole number of any type, such as one of numpy, within bounds."""
-    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= value <= most:
-        raise SettingsError(f"{what} is {value!r:.40}; give a whole number from {least} to {most}")
-    return int(value)
+    if isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) <= most:
+        return int(value)
+    raise SettingsError(f"{what} is {value!r:.40}; give a whole number from {least} to {most}")
 
 
 def given_seed(value: object, what: str = "seed") -> int:
