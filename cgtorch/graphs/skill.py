@@ -13,6 +13,7 @@ from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
 from cgtorch.ground.given import of_kind, whole_number
 
+A_SKILL = "a Skill, such as load_skill returns"
 MOST_TRANSITIONS = 2**31
 
 

@@ -34,6 +34,13 @@ def whole_number(value: object, what: str, least: int, most: int) -> int:
     raise SettingsError(f"{what} is {value!r:.40}; give a whole number from {least} to {most}")
 
 
+def real_number(value: object, what: str, least: float = 0) -> float:
+    """A number that is not below a bound; infinity is one, NaN is none."""
+    if isinstance(value, Real) and not isinstance(value, bool) and float(value) >= least:
+        return float(value)
+    raise SettingsError(f"{what} is {value!r:.40}; give a number of at least {least:g}")
+
+
 def given_seed(value: object, what: str = "seed") -> int:
     """A seed of random numbers."""
     return whole_number(value, what, *SEEDS)
