@@ -126,7 +126,12 @@ def spec_of_class(kind: Any) -> str:
 def specs_of(actions: Any) -> tuple[str, ...]:
     """The names of actions that are given as names or classes; SettingsError for anything else."""
     said = f"actions is {actions!r:.60}; give a list of names or classes, such as [Wait]"
-    if isinstance(actions, str) or not isinstance(actions, Iterable):
+    if isinstance(actions, str):
+        raise SettingsError(
+            f"actions is the text {actions!r:.60}, not a list of names; give a list, such as "
+            f"[{actions!r:.60}]"
+        )
+    if not isinstance(actions, Iterable):
         raise SettingsError(said)
     given = tuple(actions)
     if not all(isinstance(each, str | type) for each in given):

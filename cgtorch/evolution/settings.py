@@ -125,7 +125,8 @@ class EvolutionSettings:
     def _check_types(self) -> None:
         """SettingsError for a value of another type, or a number that no other setting allows."""
         for name, least in WHOLE.items():
-            whole_number(getattr(self, name), name, least, MOST)
+            number = whole_number(getattr(self, name), name, least, MOST)
+            object.__setattr__(self, name, number)
         for name in FUNCTIONS:
             a_function(getattr(self, name), name)
         if not isinstance(self.tau, float | int) or not 0 <= self.tau < float("inf"):

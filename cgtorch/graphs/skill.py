@@ -36,7 +36,8 @@ class Skill:
     def __post_init__(self) -> None:
         """Check the graph and move its nodes to the first slots."""
         of_kind(self.name, str, "the name of a skill", "a text")
-        whole_number(self.max_transitions, "max_transitions", 1, MOST_TRANSITIONS)
+        limit = whole_number(self.max_transitions, "max_transitions", 1, MOST_TRANSITIONS)
+        object.__setattr__(self, "max_transitions", limit)
         check_graph(self.graph, self.actions)
         object.__setattr__(self, "graph", compacted(self.graph[:1]))
 

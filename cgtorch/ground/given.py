@@ -27,11 +27,15 @@ def given_path(value: object, what: str = "path") -> Path:
     raise SettingsError(f"{what} is {value!r:.60}; give a path as a text or a pathlib.Path")
 
 
-def whole_number(value: object, what: str, least: int, most: int) -> int:
-    """A whole number of any type, such as one of numpy, within bounds."""
+def whole_number(value: object, what: str, least: int, most: int, bounds: str = "") -> int:
+    """A whole number of any type, such as one of numpy, within bounds.
+
+    `bounds` says them in other words, such as "of at most 64 bits".
+    """
     if isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) <= most:
         return int(value)
-    raise SettingsError(f"{what} is {value!r:.40}; give a whole number from {least} to {most}")
+    bounds = bounds or f"from {least} to {most}"
+    raise SettingsError(f"{what} is {value!r:.40}; give a whole number {bounds}")
 
 
 def real_number(value: object, what: str, least: float = 0) -> float:
@@ -43,7 +47,7 @@ def real_number(value: object, what: str, least: float = 0) -> float:
 
 def given_seed(value: object, what: str = "seed") -> int:
     """A seed of random numbers."""
-    return whole_number(value, what, *SEEDS)
+    return whole_number(value, what, *SEEDS, bounds="of at most 64 bits")
 
 
 def truth(value: object, what: str) -> bool:

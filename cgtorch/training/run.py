@@ -17,10 +17,11 @@ from cgtorch.domains.registry import (
     with_name,
 )
 from cgtorch.graphs import Skill, load_skill
+from cgtorch.graphs.skill import A_SKILL
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import write_bytes
-from cgtorch.ground.given import a_function, given_path, known_options
+from cgtorch.ground.given import a_function, given_path, known_options, of_kind
 from cgtorch.report import ProgressDisplay
 from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import read_log
@@ -92,10 +93,15 @@ class Run(StoredRun):
         return evaluate_skill(skill, self.domain, scenarios or self.kind, count, seed)
 
     def failures(self, score: Score, skill: Skill | None = None) -> Failures:
-        """Why a skill fails in a score of `evaluate`: kinds of failure, causes, and advice."""
+        """Why a skill fails in a score of `evaluate`: kinds of failure, causes, and advice.
+
+        SettingsError for what is no score or no skill.
+        """
+        of_kind(score, Score, "score", "a Score, such as evaluate returns")
         last = folder_of_last(self)
         known = Background() if last is None else background_of(self, last)
-        return failures_of(self.skill if skill is None else skill, self.domain, score, known)
+        tried = self.skill if skill is None else of_kind(skill, Skill, "skill", A_SKILL)
+        return failures_of(tried, self.domain, score, known)
 
     def report(self, path: Path | str, force: bool = False) -> None:
         """Write the run as one HTML page.

@@ -128,7 +128,7 @@ def test_a_search_goes_on_with_its_own_actions_only(tmp_path: Path) -> None:
         ({"initial_nodes": 5}, "initial nodes are 5; give two whole numbers"),
         ({"fitness": "high"}, "fitness is 'high'; give a function"),
         ({"tau": "x"}, "tau is 'x'; give a finite variance"),
-        ({"seed": 1.5}, "seed is 1.5; give a whole number"),
+        ({"seed": 1.5}, "seed is 1.5; give a whole number of at most 64 bits"),
         ({"seed": "a"}, "seed is 'a'; give a whole number"),
         ({"seed": None}, "seed is None; give a whole number"),
         ({"seed": 2**70}, "seed is 1180591620717411303424; give a whole number"),
@@ -145,6 +145,8 @@ def test_what_cannot_begin_a_search_is_one_error(given: dict[str, Any], message:
 def test_numbers_of_numpy_are_settings_too() -> None:
     search = Search(ACTIONS, population=np.int64(12), seed=np.int32(3), tau=np.float64(0.1))
     assert type(search.settings.population) is int
+    assert type(EvolutionSettings(population=np.int64(12)).population) is int
+    assert type(search.skill("a", np.int64(5)).max_transitions) is int
     assert same(search.ask(), Search(ACTIONS, population=12, seed=3, tau=0.1).ask())
 
 

@@ -202,7 +202,7 @@ def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:
         ({"domain": 3}, DomainError, "domain is 3; give a name"),
         ({"domain": "table"}, DomainError, "unknown domain 'table'"),
         ({"actions": ["Fly"]}, CgtorchError, "unknown action 'Fly'"),
-        ({"actions": "Wait"}, SettingsError, "actions is 'Wait'; give a list of names or classes"),
+        ({"actions": "Wait"}, SettingsError, "the text 'Wait', not a list of names; give a"),
         ({"actions": [3]}, SettingsError, r"actions is \[3\]; give a list of names or classes"),
         ({"actions": None}, SettingsError, "actions is None; give a list of names or classes"),
         ({"budget": "motions=3"}, SettingsError, "budget is 'motions=3'; give limits by name"),
@@ -247,6 +247,12 @@ def test_what_is_no_path_is_no_run(folder: Any) -> None:
 def test_what_cannot_be_tried_is_said(given: dict[str, Any], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         cgtorch.open_run(REFERENCE).evaluate(**given)
+
+
+def test_what_is_no_score_has_no_failures() -> None:
+    number: Any = 5
+    with pytest.raises(SettingsError, match="score is 5; give a Score, such as evaluate returns"):
+        cgtorch.open_run(REFERENCE).failures(number)
 
 
 def test_a_watch_is_checked_before_a_run_goes_on(whole: cgtorch.Run) -> None:
