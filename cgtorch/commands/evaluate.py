@@ -11,6 +11,8 @@ import click
 from cgtorch.commands import common, outputs
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.statistics import wilson
+from cgtorch.runs.replacing import check_output
+from cgtorch.runs.settings import MOST_TRIED
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
@@ -39,7 +41,7 @@ Examples:
     "the way). Another domain has its own kinds.  [the run's; a skill file: the domain's usual]",
     count="Number of scenarios.",
     seed="Seed of the scenarios and of their noise.",
-    most=1_000_000,
+    most=MOST_TRIED,
 )
 @common.skill_option
 @common.domain_option
@@ -69,7 +71,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     the built-in PR2.
     """
     if rest["picture"]:
-        outputs.check_output(rest["picture"], rest["force"], path, "--picture")
+        check_output(rest["picture"], rest["force"], path, "--picture")
     if rest["failures"]:
         common.draw_without_display()
     with common.importing():

@@ -8,6 +8,7 @@ import click
 
 from cgtorch.commands import common, outputs
 from cgtorch.commands.completion import SCENARIOS, one_of
+from cgtorch.runs.replacing import check_output
 
 EXAMPLES = """\b
 Examples:
@@ -53,7 +54,7 @@ def command(path: Path, form: str, output: Path, force: bool, quiet: bool, **abo
     RUN_OR_SKILL is the folder of a run (its last skill is taken), the folder of a stage in it, or
     a skill file.
     """
-    outputs.check_output(output, force, path)
+    check_output(output, force, path)
     ends = ENDS.get(form, (output.suffix,))
     if output.suffix not in ends:
         raise click.UsageError(

@@ -7,6 +7,7 @@ import click
 
 from cgtorch.commands import common, outputs
 from cgtorch.commands.completion import runs_or_skills
+from cgtorch.runs.replacing import check_output
 
 EXAMPLES = """\b
 Examples:
@@ -32,7 +33,7 @@ def command(
     tried again on fresh scenarios, to show where it fails, and why. For an unfinished run, the page
     says which parts are missing.
     """
-    outputs.check_output(output, force, run)
+    check_output(output, force, run)
     common.draw_without_display()
     import torch
 

@@ -11,6 +11,7 @@ from cgtorch.commands import common, outputs
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.commands.interrupts import interrupts
 from cgtorch.ground.errors import SettingsError
+from cgtorch.runs.replacing import check_output
 
 if TYPE_CHECKING:
     from cgtorch.runs.chosen import Chosen
@@ -142,7 +143,7 @@ def _film(
     """Write an animated picture of a skill."""
     if film.suffix not in (".gif", ".webp"):
         raise SettingsError(f"--film is {str(film)!r}; give a name that ends in .gif or .webp")
-    outputs.check_output(film, rest["force"], path, "--film")
+    check_output(film, rest["force"], path, "--film")
     common.draw_without_display()
     with common.importing():
         import torch

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import Field, fields, replace
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cgtorch.domains.settings import DomainSettings
-from cgtorch.ground.errors import CgtorchError, DomainError
+from cgtorch.ground.errors import CgtorchError, DomainError, SettingsError
 
 if TYPE_CHECKING:
     from cgtorch.domains.domain import Domain
@@ -121,6 +121,22 @@ def spec_of(domain: Any) -> "tuple[str, Domain[Any] | None]":
 def spec_of_class(kind: Any) -> str:
     """The name "package.module:Class" of a class; a name stays as it is."""
     return kind if isinstance(kind, str) else f"{kind.__module__}:{kind.__qualname__}"
+
+
+def specs_of(actions: Any) -> tuple[str, ...]:
+    """The names of actions that are given as names or classes; SettingsError for anything else."""
+    said = f"actions is {actions!r:.60}; give a list of names or classes, such as [Wait]"
+    if isinstance(actions, str):
+        raise SettingsError(
+            f"actions is the text {actions!r:.60}, not a list of names; give a list, such as "
+            f"[{actions!r:.60}]"
+        )
+    if not isinstance(actions, Iterable):
+        raise SettingsError(said)
+    given = tuple(actions)
+    if not all(isinstance(each, str | type) for each in given):
+        raise SettingsError(said)
+    return tuple(map(spec_of_class, given))
 
 
 def make_driver(spec: str) -> "RobotDriver":

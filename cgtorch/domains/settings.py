@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from difflib import get_close_matches
 from typing import Any, ClassVar, TypeVar
 
 from cgtorch.ground.errors import SettingsError
@@ -89,20 +88,6 @@ class DomainSettings:
     def __post_init__(self) -> None:
         """Check every value."""
         check_options(self)
-
-
-def known_options(kind: type, given: Mapping[str, Any], *others: type) -> dict[str, Any]:
-    """The settings given by name, lists as tuples; SettingsError for a name that `kind` lacks.
-
-    `others` are further kinds of settings that the name may have been meant for.
-    """
-    names = [f.name for each in (kind, *others) for f in fields(each)]
-    for name in given:
-        if name not in {f.name for f in fields(kind)}:
-            close = get_close_matches(name, names, 1)
-            meant = f"did you mean {close[0]!r}?" if close else f"use one of {', '.join(names)}"
-            raise SettingsError(f"unknown setting {name!r}; {meant}")
-    return {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
 
 
 def to_plain(settings: Any) -> dict[str, Any]:

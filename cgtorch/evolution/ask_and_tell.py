@@ -1,5 +1,6 @@
 """A search as an object: ask for graphs, tell what they are worth; and its state in files."""
 
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -17,11 +18,15 @@ from cgtorch.evolution.population import Population, population_from
 from cgtorch.evolution.selection import Evaluated
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.graphs import ActionSet, Graphs, Skill, merged
-from cgtorch.ground.errors import RunError
-from cgtorch.ground.files import read_bytes, tensors_of, write_bytes
+from cgtorch.ground.dry_run import kind
+from cgtorch.ground.errors import DataError, RunError, SettingsError
+from cgtorch.ground.files import notes_of, read_bytes, strict_json, tensors_of, write_bytes
+from cgtorch.ground.given import given_seed, known_options, of_kind
 
 MAX_BYTES = 2**30
 """The size of the largest file that `Search.load` reads."""
+NOTE = "cgtorch-search"
+"""The name of the note in such a file that says with what the search began."""
 VECTORS = ("mean", "covariance", "path", "step_path")
 """The tensors of a `Distribution`."""
 
@@ -53,9 +58,12 @@ class Search:
             seed: The seed of all its random numbers.
             seeds: Earlier individuals, which become half of the first population.
             settings: Of `EvolutionSettings`, such as `population` and `capacity`.
+
+        Raises:
+            SettingsError: Something given cannot work.
         """
-        self.actions, self.settings = actions, EvolutionSettings(**settings)
-        generator = Generator().manual_seed(seed)
+        self.actions, self.settings = _given(actions, settings)
+        generator = Generator().manual_seed(given_seed(seed))
         state = initial_state(self.settings, actions, generator, seeds)
         self._state, self.best, self.best_fitness = state, state.best, state.best_fitness
 
@@ -68,20 +76,25 @@ class Search:
         """The P graphs to evaluate next; the same ones until `tell` is called."""
         return ask(self._state).graphs
 
-    def tell(self, fitness: Tensor | Sequence[float], scores: Tensor | None = None) -> None:
+    def tell(
+        self,
+        fitness: Tensor | Sequence[float],
+        scores: Tensor | Sequence[Sequence[float]] | None = None,
+    ) -> None:
         """Breed the next generation from the fitness (P,) of this one.
 
         More is better, and NaN is the worst. With `scores` (P, B), one column for each scenario or
-        objective, these choose the parents. DataError for other shapes.
+        objective, these choose the parents. DataError for other shapes, or for what is no numbers.
         """
-        values = torch.as_tensor(fitness, dtype=torch.float32)
+        values = _numbers(fitness, "fitness is").float()
+        scores = None if scores is None else _numbers(scores, "scores are")
         own = self.settings, self.actions, self._state.generator
         self._state = after = tell(self._state, values, *own, scores)
         if after.best_fitness > self.best_fitness:
             self.best, self.best_fitness = after.best, after.best_fitness
 
     def skill(self, name: str, max_transitions: int = 20) -> Skill:
-        """The best individual as a skill."""
+        """The best individual as a skill; SettingsError for a name or limit that cannot work."""
         return Skill(name, merged(self.best.graphs), self.actions, max_transitions)
 
     def save(self, path: Path | str) -> None:
@@ -89,24 +102,63 @@ class Search:
         numbers = torch.tensor([self.generation, self.best_fitness], dtype=torch.float64)
         best = population_tensors("best", self.best)
         found = {**state_tensors(self._state), **best, "numbers": numbers}
-        write_bytes(path, save({name: value.clone() for name, value in found.items()}))
+        about = {NOTE: json.dumps(_about(self.actions, self.settings))}
+        write_bytes(path, save({name: value.clone() for name, value in found.items()}, about))
 
     @classmethod
     def load(cls, path: Path | str, actions: ActionSet, **settings: Any) -> Self:
-        """A search as it was saved, with the same actions and settings; RunError if it is damaged.
+        """A search as it was saved, which goes on to the same results.
 
-        It goes on to the same results.
+        Actions and settings have to be the same; of functions among them, this is not checked.
+        SettingsError if they are not, RunError if the file holds no search.
         """
         search = cls.__new__(cls)
-        search.actions, search.settings = actions, EvolutionSettings(**settings)
-        with damage():
-            tensors = tensors_of(read_bytes(path, MAX_BYTES))
+        search.actions, search.settings = _given(actions, settings)
+        data, place = read_bytes(path, MAX_BYTES), repr(str(path))
+        with damage(f"{place} holds no whole search", "give a file that Search.save wrote"):
+            tensors = tensors_of(data)
+            _check_same(place, notes_of(data), _about(actions, search.settings))
             generation, search.best_fitness = tensors["numbers"].tolist()
             search.best = population_named("best", tensors, actions)
-        if not 0 <= generation < 2**53:
-            raise RunError(f"{str(path)!r} has had {generation} generations; it is damaged")
-        search._state = state_from(tensors, actions, Generator(), int(generation))
+            if not 0 <= generation < 2**53:
+                raise ValueError(f"it has had {generation} generations")
+            search._state = _state(tensors, actions, Generator(), int(generation))
         return search
+
+
+def _given(actions: object, settings: dict[str, Any]) -> tuple[ActionSet, EvolutionSettings]:
+    """The actions and settings of a search; SettingsError for those that cannot work."""
+    checked = of_kind(actions, ActionSet, "actions", "an ActionSet, such as domain.actions()")
+    return checked, EvolutionSettings(**known_options(EvolutionSettings, settings))
+
+
+def _numbers(values: Any, what: str) -> Tensor:
+    """A tensor of real numbers on the CPU; DataError for what holds none."""
+    try:
+        dtype = None if hasattr(values, "dtype") else torch.float32
+        found = torch.as_tensor(values, dtype=dtype).detach().cpu()
+    except (TypeError, ValueError, RuntimeError) as e:
+        raise DataError(f"{what} {values!r:.60}; give a tensor or a list of numbers") from e
+    if found.is_complex():
+        raise DataError(f"{what} {kind(found)}; give real numbers")
+    return found
+
+
+def _about(actions: ActionSet, settings: EvolutionSettings) -> dict[str, Any]:
+    """What a saved search is to be continued with, as plain data: all but functions."""
+    found = {name: value for name, value in vars(settings).items() if not callable(value)}
+    return {"actions": list(actions.names), **json.loads(json.dumps(found))}
+
+
+def _check_same(place: str, notes: dict[str, Any], now: dict[str, Any]) -> None:
+    """SettingsError if a search was saved with others; KeyError or ValueError if it was none."""
+    if NOTE not in notes:
+        raise ValueError("it does not say with which actions and settings one began")
+    before = strict_json(notes[NOTE])
+    for name, value in now.items():
+        if (was := before[name]) != value:
+            said = f"{name} {was!r:.80}, not {value!r:.80}"
+            raise SettingsError(f"{place} is a search with {said}; give the same as when it began")
 
 
 def population_tensors(part: str, population: Population) -> dict[str, Tensor]:
@@ -129,11 +181,18 @@ def state_from(
 ) -> EvolutionState:
     """A state that evaluates this generation next, from untrusted `state_tensors`."""
     with damage():
-        population = population_named("population", tensors, actions)
-        best = population[:1], float("-inf")
-        state = EvolutionState(population, generation, *best, generator=generator)
-        state = _with_lineages(state, tensors, actions)
-    restore(generator, tensors)
+        return _state(tensors, actions, generator, generation)
+
+
+def _state(
+    tensors: dict[str, Tensor], actions: ActionSet, generator: Generator, generation: int
+) -> EvolutionState:
+    """`state_from` with the errors that reading damaged tensors has."""
+    population = population_named("population", tensors, actions)
+    best = population[:1], float("-inf")
+    state = EvolutionState(population, generation, *best, generator=generator)
+    state = _with_lineages(state, tensors, actions)
+    generator.set_state(tensors["generator"])
     return state
 
 
@@ -144,13 +203,17 @@ def restore(generator: Generator, tensors: dict[str, Tensor]) -> None:
 
 
 @contextmanager
-def damage() -> Iterator[None]:
+def damage(
+    what: str = "the checkpoint of an evolution is damaged", advice: str = "remove it"
+) -> Iterator[None]:
     """Turn any exception from reading damaged tensors into a RunError."""
     try:
         yield
+    except SettingsError:
+        raise
     except (KeyError, ValueError, TypeError, RuntimeError) as e:
         reason = " ".join(str(e).split())[:200]
-        raise RunError(f"the checkpoint of an evolution is damaged ({reason}); remove it") from e
+        raise RunError(f"{what} ({reason}); {advice}") from e
 
 
 def population_named(part: str, tensors: dict[str, Tensor], actions: ActionSet) -> Population:

@@ -21,6 +21,7 @@ from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.graphs import ActionSet, compacted, resized
 from cgtorch.ground.dry_run import kind
 from cgtorch.ground.errors import DataError
+from cgtorch.ground.given import of_kind
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,12 @@ def initial_state(
 
     Raises:
         GraphError: A seed has more nodes than `settings.capacity`.
+        SettingsError: The seeds are no population.
     """
     if seeds is None:
         population = _random(settings, actions, generator, settings.population)
     else:
+        of_kind(seeds, Population, "seeds", "a Population, such as that of `ask` or `Search.best`")
         sizes = settings.capacity, settings.initial_nodes, generator, settings.strategy
         population = slim(seeded_population(settings.population, seeds, actions, *sizes))
     return EvolutionState(population, 0, population[:1], float("-inf"), generator=generator)

@@ -33,7 +33,16 @@ from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground.dry_run import ROWS, expect, kind, returned, two_rows
 from cgtorch.ground.environment import Environment
 from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.given import a_function, whole_number
 from cgtorch.simulation import rollout
+
+WHOLE = {
+    "population": 2, "elite": 0, "newcomers": 0, "capacity": 1, "islands": 1, "migration": 1,
+    "lineages": 0,
+}  # fmt: skip
+"""The settings that are whole numbers, with the least value of each."""
+MOST = 2**31 - 1
+FUNCTIONS = ("evaluate", "selection", "fitness", "crossover", "mutation", "first_graphs")
 
 
 @dataclass(frozen=True)
@@ -88,8 +97,7 @@ class EvolutionSettings:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if self.population < 2:
-            raise SettingsError(f"population is {self.population}; give at least 2")
+        self._check_types()
         if not 0 <= self.elite < self.population:
             raise SettingsError(f"elite is {self.elite}; give 0 to {self.population - 1}")
         if not 0 <= self.newcomers < self.population - self.elite:
@@ -101,22 +109,31 @@ class EvolutionSettings:
                 f"initial nodes are {low} to {high}; give a range within 1 to {self.capacity}"
             )
         least, most = bounds()
-        given = torch.tensor(self.strategy)
+        numbers = isinstance(self.strategy, tuple) and all(
+            isinstance(each, float | int) for each in self.strategy
+        )
+        given = torch.tensor(self.strategy if numbers else ())
         if given.shape != least.shape or not ((given >= least) & (given <= most)).all():
             limits = float(least[0]), float(most[0]), float(most[-1])
             raise SettingsError(
                 f"strategy is {self.strategy}; give {len(STRATEGY)} numbers from {limits[0]:g} to "
                 f"{limits[1]:g}, the last up to {limits[2]:g}"
             )
-        for name in ("islands", "migration"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name} is {getattr(self, name)}; give at least 1")
-        if self.lineages < 0 or (self.lineages and self.islands > 1):
-            raise SettingsError(
-                f"lineages is {self.lineages}; give 0 or more, and 0 where there are islands"
-            )
-        if not 0 <= self.tau < float("inf"):
-            raise SettingsError(f"tau is {self.tau}; give a finite variance of at least 0")
+        if self.lineages and self.islands > 1:
+            raise SettingsError(f"lineages is {self.lineages}; give 0 where there are islands")
+
+    def _check_types(self) -> None:
+        """SettingsError for a value of another type, or a number that no other setting allows."""
+        for name, least in WHOLE.items():
+            number = whole_number(getattr(self, name), name, least, MOST)
+            object.__setattr__(self, name, number)
+        for name in FUNCTIONS:
+            a_function(getattr(self, name), name)
+        if not isinstance(self.tau, float | int) or not 0 <= self.tau < float("inf"):
+            raise SettingsError(f"tau is {self.tau!r:.40}; give a finite variance of at least 0")
+        given = self.initial_nodes
+        if not isinstance(given, tuple) or [type(each) for each in given] != [int, int]:
+            raise SettingsError(f"initial nodes are {given!r:.40}; give two whole numbers (a, b)")
 
 
 REWARDS = EvolutionSettings(

@@ -15,10 +15,13 @@ from cgtorch.export.step import Nowhere, control_size_of
 from cgtorch.graphs import Action, Skill
 from cgtorch.graphs.action import own
 from cgtorch.graphs.clusters import Node, clusters_of
+from cgtorch.graphs.skill import A_SKILL
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import DataError
+from cgtorch.ground.given import given_seed, of_kind, truth, whole_number
 from cgtorch.simulation import most_steps
 
+MOST_STEPS = 2**63 - 1
 ROUTINES = {"control": Step, "perceive": Perceive, "test": Test}
 
 
@@ -60,15 +63,19 @@ class Stepper:
         """Prepare a skill.
 
         `seed` is that of the numbers that stochastic actions draw, and `max_steps` are the actions
-        on all levels after which the skill times out, by default `most_steps`.
+        on all levels after which the skill times out, by default `most_steps`. SettingsError for
+        what is no skill or no whole number.
         """
+        of_kind(skill, Skill, "skill", A_SKILL)
         actions = [action for _, action in skill.primitives]
-        self.skill, self._seed = skill, seed
+        self.skill, self._seed = skill, given_seed(seed)
         self._places, self._memory_size = memory_places(actions)
         self._percept_size = max([0, *(getattr(a, "percept_size", 0) for a in actions)])
         self._requests: dict[State, Request] = {}
         most = most_steps(skill.actions, skill.max_transitions)
-        self._machine = self._built(most if max_steps is None else max_steps)
+        if max_steps is not None:
+            most = whole_number(max_steps, "max_steps", 0, MOST_STEPS)
+        self._machine = self._built(most)
         self._message_size = skill.actions.message_size
         self._walk: Generator[State, str, str] | None = None
         self._asked: State | None = None
@@ -76,10 +83,11 @@ class Stepper:
     def act(self, percept: Sequence[float] | Tensor, done: bool = True) -> Request:
         """The next request at a percept (D,), after the last one succeeded or failed.
 
-        DataError for a percept that is not a row of D finite numbers, ActionError if an action asks
-        its environment for more than a robot has.
+        DataError for a percept that is not a row of D finite numbers, SettingsError for a `done`
+        that is neither true nor false, ActionError if an action asks its environment for more than
+        a robot has.
         """
-        seen = self._row(percept)
+        seen, done = self._row(percept), truth(done, "done")
         try:
             if self._walk is None or self._asked is None:
                 nothing = [0.0] * self._message_size, False, [0.0] * self._memory_size

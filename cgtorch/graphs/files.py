@@ -18,10 +18,11 @@ import networkx as nx
 from cgtorch.graphs.action import Action
 from cgtorch.graphs.action_set import ActionSet
 from cgtorch.graphs.graphs import check_graph
-from cgtorch.graphs.skill import Skill, SubSkill
+from cgtorch.graphs.skill import A_SKILL, MOST_TRANSITIONS, Skill, SubSkill
 from cgtorch.graphs.view import View, from_networkx, to_networkx
 from cgtorch.ground.errors import ActionError, GraphError
 from cgtorch.ground.files import read_json, write_json
+from cgtorch.ground.given import of_kind
 
 FORMAT, VERSION = "cgtorch-skill", 2
 MAX_BYTES = 32 * 2**20
@@ -41,16 +42,22 @@ _KIND = {str: "text", int: "a whole number", list: "a list", dict: "an object"}
 
 
 def save_skill(path: Path | str, skill: Skill) -> None:
-    """Write a skill file, completely or not at all; RunError if it cannot be written."""
-    write_json(path, skill_to_dict(skill))
+    """Write a skill file, completely or not at all; RunError if it cannot be written.
+
+    SettingsError for what is no path or no skill.
+    """
+    write_json(path, skill_to_dict(of_kind(skill, Skill, "skill", A_SKILL)))
 
 
 def load_skill(path: Path | str, actions: ActionSet | None = None) -> Skill:
     """Read a skill file exactly as it was saved; nodes may use these actions and its sub-skills.
 
     Without `actions` they are those that the file names, which have to be the library's. GraphError
-    if it cannot be read or contains no skill, ActionError for an unknown action.
+    if it cannot be read or contains no skill, ActionError for an unknown action, SettingsError for
+    what is no path or no actions.
     """
+    if actions is not None:
+        of_kind(actions, ActionSet, "actions", "an ActionSet, such as domain.actions()")
     return skill_from_dict(read_json(path, MAX_BYTES, GraphError), actions)
 
 
@@ -138,9 +145,9 @@ def _read(
     edges = [_check_keys(e, _EDGE, f"edge {i} of {what}") for i, e in enumerate(skill["edges"])]
     if len(nodes) > MAX_NODES:
         raise GraphError(f"{what} has {len(nodes)} nodes; at most {MAX_NODES} can be read")
-    if not 1 <= skill["max_transitions"] <= 2**31:
+    if not 1 <= (limit := skill["max_transitions"]) <= MOST_TRANSITIONS:
         raise GraphError(
-            f"{what} has max_transitions {_short(skill['max_transitions'])}; give 1 to {2**31}"
+            f"{what} has max_transitions {_short(limit)}; give 1 to {MOST_TRANSITIONS}"
         )
     used = [key for key in dict.fromkeys(n["action"] for n in nodes) if key in entries]
     for key in used:

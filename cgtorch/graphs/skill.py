@@ -11,11 +11,15 @@ from cgtorch.graphs.action_set import ActionSet
 from cgtorch.graphs.graphs import NO_NODE, Graphs, check_graph, compacted
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError
+from cgtorch.ground.given import of_kind, whole_number
+
+A_SKILL = "a Skill, such as load_skill returns"
+MOST_TRANSITIONS = 2**31
 
 
 @dataclass(frozen=True, eq=False)  # as tensors have no single truth value
 class Skill:
-    """A named computational graph; GraphError if it is not valid.
+    """A named computational graph; GraphError if it is not valid, SettingsError for what is none.
 
     Attributes:
         name: Its name, also as a node of another skill.
@@ -31,6 +35,9 @@ class Skill:
 
     def __post_init__(self) -> None:
         """Check the graph and move its nodes to the first slots."""
+        of_kind(self.name, str, "the name of a skill", "a text")
+        limit = whole_number(self.max_transitions, "max_transitions", 1, MOST_TRANSITIONS)
+        object.__setattr__(self, "max_transitions", limit)
         check_graph(self.graph, self.actions)
         object.__setattr__(self, "graph", compacted(self.graph[:1]))
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from cgtorch.ground.errors import CgtorchError, RunError
+from cgtorch.ground.given import given_path
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -35,9 +36,11 @@ def writing(path: Path, error: type[CgtorchError] = RunError) -> Iterator[None]:
 def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunError) -> None:
     """Write a file so that at any moment it has either its old content or all of the new.
 
-    Its folder must exist. If it cannot be written, `error` is raised and nothing is left behind.
+    Its folder must exist. If it cannot be written, or something is there that is no file, such as a
+    folder or a device, `error` is raised and nothing is left behind.
     """
-    path = Path(path)
+    path = given_path(path)
+    _check_replaceable(path, error)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     with writing(path, error):
         try:
@@ -48,6 +51,15 @@ def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunEr
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def _check_replaceable(path: Path, error: type[CgtorchError]) -> None:
+    """Raise `error` if something is there that a whole new file must not replace."""
+    with writing(path, error):
+        kept = path.exists() and not path.is_file()
+        what = "a folder" if path.is_dir() else "a device or a pipe"
+    if kept:
+        raise error(f"cannot write {str(path)!r}, which is {what}; give the path of a file")
 
 
 def write_json(path: Path | str, data: object, error: type[CgtorchError] = RunError) -> None:
@@ -63,7 +75,7 @@ def write_json(path: Path | str, data: object, error: type[CgtorchError] = RunEr
 
 def read_bytes(path: Path | str, max_bytes: int, error: type[CgtorchError] = RunError) -> bytes:
     """Read a file; `error` if that fails, or if it has more than `max_bytes`."""
-    path = Path(path)
+    path = given_path(path)
     try:
         if not path.is_file():
             raise error(f"cannot read {str(path)!r}, which is not a file; check the path")

@@ -11,6 +11,8 @@ METHODS = ("compose", "paper")
 CHANCE = ("auto", "yes", "no")
 MODELS = ("auto", "learned", "none")
 HUGE = 1e38  # as a mean return, which is beyond what single precision holds
+MOST_TRIED = 1_000_000
+"""The largest number of scenarios of one evaluation, as all of them are in memory."""
 SCENARIOS = "The kind of scenarios, or auto for the domain's usual kind."
 
 

@@ -11,10 +11,13 @@ from cgtorch.domains.domain import Domain
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.models import Models
 from cgtorch.graphs import Skill
+from cgtorch.graphs.skill import A_SKILL
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import Bounded
 from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.given import given_seed, of_kind, whole_number
 from cgtorch.improvement.trial import try_skill
+from cgtorch.runs.settings import MOST_TRIED
 from cgtorch.simulation import rollout
 
 REPLICAS = 8  # of a scenario in the models, each with other errors
@@ -114,11 +117,11 @@ def evaluate_skill(
     """Try a skill on `count` fresh scenarios of a kind, drawn with their noise from a seed.
 
     `done` is called with the number of further scenarios tried. SettingsError if the kind is
-    unknown, the count is negative, or the skill reads other percepts.
+    unknown, the count is none of 0 to `MOST_TRIED`, or the skill reads other percepts.
     """
     scenarios = drawn(skill, domain, kind, count, seed)
     scores = []
-    for begin in range(0, max(1, count), PART):
+    for begin in range(0, max(1, len(scenarios)), PART):
         scores.append(try_on(skill, domain, scenarios[begin : begin + PART]))
         done(scores[-1].tried)
     return joined(scores)
@@ -131,9 +134,9 @@ def drawn(skill: Skill, domain: Domain[Any], kind: str, count: int, seed: int) -
     """
     if kind not in domain.kinds:
         raise SettingsError(f"unknown scenarios {kind!r}; use one of {', '.join(domain.kinds)}")
-    if count < 0:
-        raise SettingsError(f"count is {count}; give 0 or more scenarios")
-    scenarios = domain.draw(kind, count, Generator().manual_seed(seed))
+    of_kind(skill, Skill, "skill", A_SKILL)
+    count = whole_number(count, "count", 0, MOST_TRIED)
+    scenarios = domain.draw(kind, count, Generator().manual_seed(given_seed(seed)))
     check_percepts(skill, domain.world(scenarios[:1]).percept_size, kind)
     return scenarios
 

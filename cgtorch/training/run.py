@@ -13,17 +13,19 @@ from cgtorch.domains.registry import (
     make_domain,
     settings_class,
     spec_of,
-    spec_of_class,
+    specs_of,
     with_name,
 )
-from cgtorch.domains.settings import known_options
 from cgtorch.graphs import Skill, load_skill
+from cgtorch.graphs.skill import A_SKILL
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import write_bytes
+from cgtorch.ground.given import a_function, given_path, known_options, of_kind
 from cgtorch.report import ProgressDisplay
 from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import read_log
+from cgtorch.runs.replacing import check_output
 from cgtorch.runs.settings import Goal, RunSettings, defaults_of
 from cgtorch.runs.stored_run import SKILL, StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
@@ -83,21 +85,35 @@ class Run(StoredRun):
         seed: int = 0,
         skill: Skill | None = None,
     ) -> Score:
-        """Try a skill, by default the last one, on fresh scenarios of a kind in the world."""
+        """Try a skill, by default the last one, on fresh scenarios of a kind in the world.
+
+        SettingsError for a kind, a number of scenarios (at most a million) or a seed that is none.
+        """
         skill = self.skill if skill is None else skill
         return evaluate_skill(skill, self.domain, scenarios or self.kind, count, seed)
 
     def failures(self, score: Score, skill: Skill | None = None) -> Failures:
-        """Why a skill fails in a score of `evaluate`: kinds of failure, causes, and advice."""
+        """Why a skill fails in a score of `evaluate`: kinds of failure, causes, and advice.
+
+        SettingsError for what is no score or no skill.
+        """
+        of_kind(score, Score, "score", "a Score, such as evaluate returns")
         last = folder_of_last(self)
         known = Background() if last is None else background_of(self, last)
-        return failures_of(self.skill if skill is None else skill, self.domain, score, known)
+        tried = self.skill if skill is None else of_kind(skill, Skill, "skill", A_SKILL)
+        return failures_of(tried, self.domain, score, known)
 
-    def report(self, path: Path | str) -> None:
-        """Write the run as one HTML page."""
+    def report(self, path: Path | str, force: bool = False) -> None:
+        """Write the run as one HTML page.
+
+        With `force`, a file that exists is replaced, unless it is one of the run's own; RunError
+        otherwise.
+        """
         from cgtorch.report.page import report_page
 
-        write_bytes(Path(path), report_page(self, explained(self)))
+        output = given_path(path)
+        check_output(output, force, self.folder, "path", "give force=True")
+        write_bytes(output, report_page(self, explained(self)))
 
     def resume(
         self,
@@ -112,10 +128,12 @@ class Run(StoredRun):
         `overrides` are settings to continue with, or `target`, `minutes`, `rounds`, `budget`,
         `device` and `checkpoint_seconds` as for `train`.
         """
+        if watch is not None:
+            a_function(watch, "watch")
         request, rest = TrainingRequest.taken_from({"stage": stage, **overrides})
         kind = type(self.domain.settings)
         own = {f.name for f in fields(kind)}
-        known_options(RunSettings, {k: v for k, v in rest.items() if k not in own}, kind)
+        rest |= known_options(RunSettings, {k: v for k, v in rest.items() if k not in own}, kind)
         settings = resumed(self, rest, rest)
         with continued(self), ProgressDisplay(quiet=quiet or not ranks.first()) as display:
             work = prepared(self, settings, request)
@@ -168,11 +186,14 @@ def train(
     returns = "target_return" in {f.name for f in fields(kind)} and (
         not settings.get("success") if made is None else rewarded(made)
     )
+    if watch is not None:
+        a_function(watch, "watch")
     if target is not None:
         Goal(target=target)  # which checks it
     aim = {"target_return" if returns else "target": target}
     request, rest = TrainingRequest.taken_from({"stage": stage, **aim, **settings})
-    own = {f.name: rest.pop(f.name) for f in fields(kind) if f.name in rest}
+    given = {f.name: rest.pop(f.name) for f in fields(kind) if f.name in rest}
+    own = known_options(kind, given)
     if made is not None and own:
         name = next(iter(own))
         raise SettingsError(
@@ -180,10 +201,11 @@ def train(
         )
     domain_settings = with_name(spec, kind(**own)) if made is None else made.settings
     spec = full_name(spec, domain_settings)
-    rest |= {"actions": tuple(spec_of_class(each) for each in actions), "domain": spec}
+    rest |= {"actions": specs_of(actions), "domain": spec}
     rest.setdefault("driver", driver_of(spec) if made is None else "")
     run_settings = RunSettings(**{**defaults_of(kind), **known_options(RunSettings, rest, kind)})
-    place = Path("runs") / f"seed-{run_settings.seed}" if folder is None else Path(folder)
+    usual = Path("runs") / f"seed-{run_settings.seed}"
+    place = usual if folder is None else given_path(folder, "folder")
     with (
         ranks.together(),
         ProgressDisplay(quiet=quiet or not ranks.first()) as display,
@@ -210,5 +232,4 @@ def open_run(
         CgtorchError: There is no run, it is damaged, or something of it is not given.
     """
     spec, made = (None, None) if domain is None else spec_of(domain)
-    trusted = tuple(spec_of_class(each) for each in actions)
-    return Run.of(read_run(Path(folder), trusted, made or spec))
+    return Run.of(read_run(given_path(folder, "folder"), specs_of(actions), made or spec))

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, fields
+from numbers import Real
 from pathlib import Path
 from typing import Any, Self, TypeAlias
 
@@ -10,11 +11,12 @@ import torch
 
 from cgtorch import native
 from cgtorch.domains.domain import Domain, rewarded
-from cgtorch.domains.settings import LAST, DomainSettings, known_options, to_plain
+from cgtorch.domains.settings import LAST, DomainSettings, to_plain
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.errors import RunError, SettingsError
+from cgtorch.ground.given import known_options, of_kind, real_number
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.report import ProgressDisplay, TensorBoardWatch
 from cgtorch.runs.changes import overridden, refuse_others
@@ -66,14 +68,18 @@ class TrainingRequest:
     checkpoint_seconds: float = SECONDS
 
     def __post_init__(self) -> None:
-        """SettingsError for a goal, a device or a budget that cannot be used."""
+        """SettingsError for what cannot be used, before anything is written."""
         Goal(**known_options(Goal, self.goal))
+        real_number(self.checkpoint_seconds, "checkpoint_seconds")
+        of_kind(self.device, str, "device", "auto, cpu or cuda")
+        asked = 'limits by name, such as {"motions": 300}'
+        of_kind(self.budget, Mapping, "budget", asked)  # type: ignore[type-abstract]
         if self.device != "auto":
             device_named(self.device)
         for name, limit in self.budget.items():
-            if name not in ASKED or not limit >= 0:
+            if name not in ASKED or not isinstance(limit, Real) or not limit >= 0:
                 raise SettingsError(
-                    f"budget {name}={limit} is no limit; give numbers of {', '.join(ASKED)}"
+                    f"budget {name}={limit!r:.40} is no limit; give numbers of {', '.join(ASKED)}"
                 )
 
     @classmethod

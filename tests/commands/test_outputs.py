@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from command_line import EVALUATE, EXPORT, REFERENCE, REPORT, VIEW, Shell
 
-from cgtorch.commands.outputs import check_output
 from cgtorch.ground.errors import RunError
+from cgtorch.runs.replacing import check_output
 
 
 @pytest.fixture

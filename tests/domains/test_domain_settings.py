@@ -14,11 +14,11 @@ from cgtorch.domains.settings import (
     MOST,
     DomainSettings,
     from_plain,
-    known_options,
     option,
     to_plain,
 )
 from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.given import known_options
 
 
 def refused(**values: Any) -> str:

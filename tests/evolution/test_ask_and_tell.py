@@ -1,8 +1,10 @@
 """A search as an object is the search of the functions, also after it was on disk."""
 
+import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import safetensors.torch
 import torch
@@ -11,8 +13,9 @@ from torch import Tensor
 
 from cgtorch.evolution import EvolutionSettings, ask, initial_state, tell
 from cgtorch.evolution.ask_and_tell import Search
-from cgtorch.graphs import Graphs
+from cgtorch.graphs import ActionSet, Graphs
 from cgtorch.ground.errors import DataError, RunError, SettingsError
+from cgtorch.ground.files import notes_of
 from cgtorch.tabletop.actions import paper_actions
 
 ACTIONS = paper_actions()
@@ -72,18 +75,123 @@ def test_whole_numbers_are_a_fitness_too() -> None:
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
     search = Search(ACTIONS, population=12)
     search.save(tmp_path / "a")
-    (tmp_path / "b").write_bytes((tmp_path / "a").read_bytes()[:-100])
-    with pytest.raises(RunError, match="damaged"):
-        Search.load(tmp_path / "b", ACTIONS, population=12)
-    tensors = safetensors.torch.load_file(tmp_path / "a")
+    whole = (tmp_path / "a").read_bytes()
+    tensors, notes = safetensors.torch.load(whole), notes_of(whole)
+    wrong = {"cut": whole[:-100], "json": b'{"format": "cgtorch-skill"}'}
+    wrong["others"] = safetensors.torch.save({"weights": torch.zeros(3)})
+    wrong["untold"] = safetensors.torch.save(tensors)
     for generation in (-1.0, 2.0**53, torch.nan):
         numbers = torch.tensor([generation, 0.0], dtype=torch.float64)
-        safetensors.torch.save_file({**tensors, "numbers": numbers}, tmp_path / "c")
-        with pytest.raises(RunError, match=r"c' has had .* generations; it is damaged"):
-            Search.load(tmp_path / "c", ACTIONS, population=12)
+        wrong[f"{generation}"] = safetensors.torch.save({**tensors, "numbers": numbers}, notes)
+    for name, data in wrong.items():
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(
+            RunError, match=rf"{name}' holds no whole search \(.*\); give a file that"
+        ):
+            Search.load(tmp_path / name, ACTIONS, population=12)
     with pytest.raises(RunError, match="none"):
         Search.load(tmp_path / "none", ACTIONS, population=12)
-    with pytest.raises(DataError, match=r"give a tensor \(12,\)"):
-        search.tell([1.0, 2.0])
-    with pytest.raises(SettingsError, match="population is 1"):
-        Search(ACTIONS, population=1)
+
+
+@pytest.mark.parametrize(
+    ("now", "message"),
+    [
+        ({"population": 30}, "a' is a search with population 12, not 30; give the same as when it"),
+        ({}, "population 12, not 400"),
+        ({"population": 12, "capacity": 20}, "capacity 24, not 20"),
+        ({"population": 12, "initial_nodes": (2, 12)}, r"initial_nodes \[4, 12\], not \[2, 12\]"),
+    ],
+)
+def test_a_search_goes_on_with_its_own_settings_only(
+    now: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    Search(ACTIONS, population=12).save(tmp_path / "a")
+    with pytest.raises(SettingsError, match=message):
+        Search.load(tmp_path / "a", ACTIONS, **now)
+
+
+def test_a_search_goes_on_with_its_own_actions_only(tmp_path: Path) -> None:
+    Search(ACTIONS, population=12).save(tmp_path / "a")
+    others = ActionSet(ACTIONS.names[::-1], ACTIONS.actions[::-1])
+    with pytest.raises(SettingsError, match=r"a' is a search with actions \['MoveBase'.*, not \["):
+        Search.load(tmp_path / "a", others, population=12)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"population": 1}, "population is 1; give a whole number from 2 to"),
+        ({"population": "60"}, "population is '60'; give a whole number"),
+        ({"population": 60.0}, "population is 60.0; give a whole number"),
+        ({"popluation": 60}, "unknown setting 'popluation'; did you mean 'population'"),
+        ({"capacity": "x"}, "capacity is 'x'; give a whole number"),
+        ({"initial_nodes": 5}, "initial nodes are 5; give two whole numbers"),
+        ({"fitness": "high"}, "fitness is 'high'; give a function"),
+        ({"tau": "x"}, "tau is 'x'; give a finite variance"),
+        ({"seed": 1.5}, "seed is 1.5; give a whole number of at most 64 bits"),
+        ({"seed": "a"}, "seed is 'a'; give a whole number"),
+        ({"seed": None}, "seed is None; give a whole number"),
+        ({"seed": 2**70}, "seed is 1180591620717411303424; give a whole number"),
+        ({"seeds": 5}, "seeds is 5; give a Population"),
+        ({"actions": None}, "actions is None; give an ActionSet, such as domain.actions()"),
+        ({"actions": "tabletop"}, "actions is 'tabletop'; give an ActionSet"),
+    ],
+)
+def test_what_cannot_begin_a_search_is_one_error(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=re.escape(message)):
+        Search(**{"actions": ACTIONS, "population": 12, **given})
+
+
+def test_numbers_of_numpy_are_settings_too() -> None:
+    search = Search(ACTIONS, population=np.int64(12), seed=np.int32(3), tau=np.float64(0.1))
+    assert type(search.settings.population) is int
+    assert type(EvolutionSettings(population=np.int64(12)).population) is int
+    assert type(search.skill("a", np.int64(5)).max_transitions) is int
+    assert same(search.ask(), Search(ACTIONS, population=12, seed=3, tau=0.1).ask())
+
+
+VALUES = torch.rand(12, generator=seeded(0))
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        (([1.0, 2.0],), "give a tensor (12,), one number for each individual"),
+        ((None,), "fitness is None; give a tensor or a list of numbers"),
+        (("abc",), "fitness is 'abc'; give a tensor or a list of numbers"),
+        ((["a"] * 12,), "fitness is ['a', "),
+        (({0: 1.0},), "fitness is {0: 1.0}; give a tensor or a list of numbers"),
+        ((torch.rand(12, device="meta"),), "fitness is tensor("),
+        ((torch.complex(VALUES, VALUES),), "fitness is a tensor (12,) of complex64; give real"),
+        ((VALUES, "x"), "scores are 'x'; give a tensor or a list of numbers"),
+        ((VALUES, [None] * 12), "scores are [None, "),
+        ((VALUES, torch.complex(VALUES, VALUES)[:, None]), "of complex64; give real numbers"),
+        ((VALUES, [[1.0, 2.0]] * 11), "scores are a tensor (11, 2)"),
+    ],
+)
+def test_what_is_no_fitness_is_one_error(told: tuple[Any, ...], message: str) -> None:
+    search = Search(ACTIONS, population=12)
+    with pytest.raises(DataError, match=re.escape(message)):
+        search.tell(*told)
+    assert search.generation == 0
+
+
+def test_scores_may_be_a_list() -> None:
+    one, other = (Search(ACTIONS, population=12) for _ in range(2))
+    scores = torch.rand(12, 3, generator=seeded(1))
+    one.tell(VALUES, scores)
+    other.tell(VALUES.tolist(), scores.tolist())
+    assert same(one.ask(), other.ask())
+
+
+@pytest.mark.parametrize(
+    ("about", "message"),
+    [
+        ((None,), "the name of a skill is None; give a text"),
+        (("a", -1), "max_transitions is -1; give a whole number from 1 to"),
+        (("a", "x"), "max_transitions is 'x'; give a whole number"),
+    ],
+)
+def test_what_cannot_be_a_skill_is_one_error(about: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        Search(ACTIONS, population=12).skill(*about)

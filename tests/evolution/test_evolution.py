@@ -139,7 +139,7 @@ def test_selection_makes_what_is_rewarded_common() -> None:
         ({"capacity": 4, "initial_nodes": (2, 5)}, "within 1 to 4"),
         ({"tau": float("nan")}, "tau is nan"),
         ({"tau": -1.0}, "tau is -1.0"),
-        ({"migration": 0}, "migration is 0; give at least 1"),
+        ({"migration": 0}, "migration is 0; give a whole number from 1"),
     ],
 )
 def test_settings_that_cannot_work(values: dict[str, object], message: str) -> None:

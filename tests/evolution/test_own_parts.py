@@ -283,11 +283,12 @@ def test_guests_take_the_places_of_the_last_individuals() -> None:
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"newcomers": -1}, "newcomers are -1; give 0 to 27"),
+        ({"newcomers": -1}, "newcomers is -1; give a whole number from 0"),
         ({"newcomers": 28}, "newcomers are 28; give 0 to 27"),
         ({"strategy": (0.5,) * 7}, "give 8 numbers from 0.001 to 1"),
         ({"strategy": (1.5,) + (0.5,) * 7}, "the last up to 10"),
         ({"strategy": (0.5,) * 7 + (10.5,)}, "the last up to 10"),
+        ({"strategy": ("a",) * 8}, "give 8 numbers from 0.001"),
         ({"strategy": (0.0,) + (0.5,) * 7}, "from 0.001"),
     ],
 )

@@ -13,7 +13,7 @@ from cgtorch.export.step import SkillStep
 from cgtorch.export.stepper import Request, Stepper
 from cgtorch.graphs import Action, ActionSet, Perceive, Skill, Step, SubSkill
 from cgtorch.ground.environment import Environment, Lanes
-from cgtorch.ground.errors import ActionError, DataError
+from cgtorch.ground.errors import ActionError, DataError, SettingsError
 from cgtorch.simulation.rollout import most_steps, rollout
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
@@ -156,6 +156,9 @@ def test_what_was_asked_for_succeeds_unless_one_says_that_it_did_not() -> None:
     actions = walking_actions()
     stepper = Stepper(Skill("S", chain(actions, "Test"), actions))
     assert stepper.act([0.0, 0.0]) == Request("test", "Test")
+    unclear: Any = "no"
+    with pytest.raises(SettingsError, match="done is 'no'; give True or False"):
+        stepper.act([0.0, 0.0], done=unclear)
     assert stepper.act([0.0, 0.0], done=False) == Request("test", "Test")
     assert stepper.act([0.0, 0.0]) == Request("success")
 
@@ -192,3 +195,17 @@ def test_a_step_s_controls_are_as_long_as_the_longest() -> None:
     assert SkillStep(skill, 7).control_size == 3
     alone = ActionSet(("Counter",), (Counter(),))
     assert SkillStep(Skill("S", chain(alone, "Counter"), alone), 7).control_size == 4
+
+
+@pytest.mark.parametrize(
+    ("about", "message"),
+    [
+        ((None,), "skill is None; give a Skill, such as load_skill returns"),
+        (("a/skill.json",), "skill is 'a/skill.json'; give a Skill"),
+        ((noting()[0], 1.5), "seed is 1.5; give a whole number"),
+        ((noting()[0], 0, "x"), "max_steps is 'x'; give a whole number"),
+    ],
+)
+def test_what_cannot_be_stepped_is_said(about: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        Stepper(*about)

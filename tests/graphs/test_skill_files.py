@@ -33,7 +33,7 @@ from cgtorch.graphs import (
     skill_from_dict,
     skill_to_dict,
 )
-from cgtorch.ground.errors import ActionError, CgtorchError, GraphError, RunError
+from cgtorch.ground.errors import ActionError, CgtorchError, GraphError, RunError, SettingsError
 from cgtorch.simulation import rollout
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.edge_networks import EdgeWayNN, edge_actions
@@ -269,6 +269,25 @@ def test_what_is_wrong_with_a_file_is_named(
 def test_what_is_no_skill_at_all(data: object) -> None:
     with pytest.raises(GraphError, match="not a skill file: format is"):
         skill_from_dict(data, ACTIONS)
+
+
+@pytest.mark.parametrize("path", [None, 5, b"x"])
+def test_what_is_no_path_is_said(path: Any) -> None:
+    with pytest.raises(SettingsError, match=r"path is .*; give a path as a text or"):
+        load_skill(path)
+    with pytest.raises(SettingsError, match=r"path is .*; give a path as a text or"):
+        save_skill(path, random_skill(0, "a", ACTIONS))
+
+
+def test_what_is_no_skill_and_what_are_no_actions_is_said(tmp_path: Path) -> None:
+    nothing: Any = None
+    with pytest.raises(SettingsError, match="skill is None; give a Skill"):
+        save_skill(tmp_path / "a", nothing)
+    with pytest.raises(RunError, match=r"cannot write '\.', which is a folder"):
+        save_skill(".", random_skill(0, "a", ACTIONS))
+    number: Any = 5
+    with pytest.raises(SettingsError, match="actions is 5; give an ActionSet"):
+        load_skill(tmp_path / "a", number)
 
 
 def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:

@@ -90,6 +90,21 @@ def test_unwritable_paths(tmp_path: Path) -> None:
     assert list(tmp_path.rglob("*")) == [tmp_path / "folder"]
 
 
+def test_only_a_file_is_replaced_by_a_whole_new_one(tmp_path: Path) -> None:
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to(pipe)
+    for path in (pipe, link):
+        with pytest.raises(RunError, match="which is a device or a pipe; give the path of a file"):
+            write_bytes(path, b"new")
+    for folder in (".", ""):
+        with pytest.raises(RunError, match=r"cannot write '.', which is a folder; give the path"):
+            write_bytes(folder, b"new")
+    assert pipe.is_fifo()
+    assert link.is_symlink()
+    assert sorted(tmp_path.iterdir()) == [link, pipe]
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

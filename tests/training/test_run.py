@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
@@ -70,6 +71,25 @@ def test_a_run_tells_all_that_it_has(whole: cgtorch.Run, tmp_path: Path) -> None
     run.report(tmp_path / "page.html")
     assert b"auto-1" in (tmp_path / "page.html").read_bytes()
     assert run.log()[0]["event"] == "asked"
+
+
+def test_a_report_replaces_no_file_unasked_and_never_one_of_the_run(
+    whole: cgtorch.Run, tmp_path: Path
+) -> None:
+    page, log = tmp_path / "page.html", whole.folder / "log.jsonl"
+    page.write_text("precious")
+    before = log.read_bytes()
+    with pytest.raises(RunError, match="exists; choose another path or give force=True"):
+        whole.report(page)
+    assert page.read_text() == "precious"
+    for part in (log, whole.folder / "auto-1" / "skill.json"):
+        with pytest.raises(RunError, match=r"is a part of .*, which is read; choose another path"):
+            whole.report(part, force=True)
+    with pytest.raises(RunError, match=r"'.' is a folder; choose another path"):
+        whole.report(".")
+    assert log.read_bytes() == before
+    whole.report(page, force=True)
+    assert b"auto-1" in page.read_bytes()
 
 
 def test_the_reference_run_tells_all_that_it_has() -> None:
@@ -182,6 +202,21 @@ def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:
         ({"domain": 3}, DomainError, "domain is 3; give a name"),
         ({"domain": "table"}, DomainError, "unknown domain 'table'"),
         ({"actions": ["Fly"]}, CgtorchError, "unknown action 'Fly'"),
+        ({"actions": "Wait"}, SettingsError, "the text 'Wait', not a list of names; give a"),
+        ({"actions": [3]}, SettingsError, r"actions is \[3\]; give a list of names or classes"),
+        ({"actions": None}, SettingsError, "actions is None; give a list of names or classes"),
+        ({"budget": "motions=3"}, SettingsError, "budget is 'motions=3'; give limits by name"),
+        ({"budget": {"motions": "3"}}, SettingsError, "budget motions='3' is no limit"),
+        ({"checkpoint_seconds": "x"}, SettingsError, "checkpoint_seconds is 'x'; give a number"),
+        (
+            {"checkpoint_seconds": math.nan},
+            SettingsError,
+            "checkpoint_seconds is nan; give a number",
+        ),
+        ({"device": 5}, SettingsError, "device is 5; give auto, cpu or cuda"),
+        ({"watch": 3}, SettingsError, "watch is 3; give a function"),
+        ({"folder": 5}, SettingsError, "folder is 5; give a path as a text or a pathlib.Path"),
+        ({"folder": b"x"}, SettingsError, "folder is b'x'; give a path"),
     ],
 )
 def test_what_cannot_work_is_said_before_anything_is_written(
@@ -190,6 +225,46 @@ def test_what_cannot_work_is_said_before_anything_is_written(
     with pytest.raises(error, match=message):
         cgtorch.train(**{"domain": "tabletop", "folder": tmp_path / "run", "quiet": True, **given})
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("folder", [None, 5, b"x", ["runs/a"]])
+def test_what_is_no_path_is_no_run(folder: Any) -> None:
+    with pytest.raises(SettingsError, match=r"folder is .*; give a path as a text or a pathlib"):
+        cgtorch.open_run(folder)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"count": -1}, "count is -1; give a whole number from 0 to 1000000"),
+        ({"count": 10**9}, "count is 1000000000; give a whole number from 0 to 1000000"),
+        ({"count": "ten"}, "count is 'ten'; give a whole number"),
+        ({"count": 2.5}, "count is 2.5; give a whole number"),
+        ({"count": 5, "seed": 1.5}, "seed is 1.5; give a whole number"),
+        ({"count": 5, "skill": "best"}, "skill is 'best'; give a Skill"),
+    ],
+)
+def test_what_cannot_be_tried_is_said(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        cgtorch.open_run(REFERENCE).evaluate(**given)
+
+
+def test_what_is_no_score_has_no_failures() -> None:
+    number: Any = 5
+    with pytest.raises(SettingsError, match="score is 5; give a Score, such as evaluate returns"):
+        cgtorch.open_run(REFERENCE).failures(number)
+
+
+def test_a_watch_is_checked_before_a_run_goes_on(whole: cgtorch.Run) -> None:
+    watch: Any = 3
+    with pytest.raises(SettingsError, match="watch is 3; give a function"):
+        whole.resume(watch=watch)
+
+
+def test_whole_numbers_of_numpy_are_settings_too(cart: Any, tmp_path: Path) -> None:
+    about: dict[str, Any] = {"population": np.int64(40), "seed": np.int32(1), "quiet": True}
+    run = cgtorch.train(cart.Cart, tmp_path / "run", watch=lambda event: True, **about)
+    assert cgtorch.open_run(run.folder, cart.Cart).settings.population == 40
 
 
 def test_a_robot_is_trained_and_goes_on(tmp_path: Path) -> None:

@@ -1,0 +1,98 @@
+"""What callers of the Python interface give, checked where it comes in.
+
+Each function returns the value as what it should be, or raises a SettingsError that names it.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import fields
+from difflib import get_close_matches
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cgtorch.ground.errors import SettingsError
+
+T = TypeVar("T")
+SEEDS = -(2**63), 2**64 - 1
+"""The least and the largest seed that torch takes."""
+
+
+def given_path(value: object, what: str = "path") -> Path:
+    """A path that is given as text or as an object such as a pathlib.Path."""
+    if isinstance(value, str | os.PathLike):
+        place = os.fspath(value)
+        if isinstance(place, str):
+            return Path(place)
+    raise SettingsError(f"{what} is {value!r:.60}; give a path as a text or a pathlib.Path")
+
+
+def whole_number(value: object, what: str, least: int, most: int, bounds: str = "") -> int:
+    """A whole number of any type, such as one of numpy, within bounds.
+
+    `bounds` says them in other words, such as "of at most 64 bits".
+    """
+    if isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) <= most:
+        return int(value)
+    bounds = bounds or f"from {least} to {most}"
+    raise SettingsError(f"{what} is {value!r:.40}; give a whole number {bounds}")
+
+
+def real_number(value: object, what: str, least: float = 0) -> float:
+    """A number that is not below a bound; infinity is one, NaN is none."""
+    if isinstance(value, Real) and not isinstance(value, bool) and float(value) >= least:
+        return float(value)
+    raise SettingsError(f"{what} is {value!r:.40}; give a number of at least {least:g}")
+
+
+def given_seed(value: object, what: str = "seed") -> int:
+    """A seed of random numbers."""
+    return whole_number(value, what, *SEEDS, bounds="of at most 64 bits")
+
+
+def truth(value: object, what: str) -> bool:
+    """True or False, also as a number or as an array or tensor of one."""
+    try:
+        found = value.item() if hasattr(value, "item") else value
+    except (ValueError, RuntimeError):  # it holds several
+        found = None
+    if not isinstance(found, int) or found not in (0, 1):
+        raise SettingsError(f"{what} is {value!r:.40}; give True or False")
+    return bool(found)
+
+
+def of_kind(value: object, kind: type[T], what: str, advice: str) -> T:
+    """An object of a class; `advice` says where one comes from."""
+    if not isinstance(value, kind):
+        raise SettingsError(f"{what} is {value!r:.60}; give {advice}")
+    return value
+
+
+def a_function(value: T, what: str) -> T:
+    """Something that can be called."""
+    if not callable(value):
+        raise SettingsError(f"{what} is {value!r:.60}; give a function")
+    return value
+
+
+def known_options(kind: type, given: Mapping[str, Any], *others: type) -> dict[str, Any]:
+    """The settings given by name, in plain types; SettingsError for a name that `kind` lacks.
+
+    `others` are further kinds of settings that the name may have been meant for.
+    """
+    names = [f.name for each in (kind, *others) for f in fields(each)]
+    for name in given:
+        if name not in {f.name for f in fields(kind)}:
+            close = get_close_matches(name, names, 1)
+            meant = f"did you mean {close[0]!r}?" if close else f"use one of {', '.join(names)}"
+            raise SettingsError(f"unknown setting {name!r}; {meant}")
+    return {name: _plain(value) for name, value in given.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Lists as tuples, and numbers of other types, such as those of numpy, as those of Python."""
+    if isinstance(value, list):
+        return tuple(value)
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return value
+    return int(value) if isinstance(value, Integral) else float(value)
