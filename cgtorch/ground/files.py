@@ -219,6 +219,19 @@ def notes_of(data: bytes) -> dict[str, Any]:
     return json.loads(data[_LENGTH : _LENGTH + length]).get("__metadata__") or {}
 
 
+def head_notes(path: Path) -> dict[str, Any]:
+    """The notes of a safetensors file, of which only the header is read; {} if it has none."""
+    try:
+        with path.open("rb") as file:
+            begin = file.read(_LENGTH)
+            length = int.from_bytes(begin, "little")
+            head = file.read(length) if length <= os.fstat(file.fileno()).st_size else b""
+        found = notes_of(begin + head)
+    except (OSError, ValueError, RecursionError, AttributeError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 def _refuse(number: str) -> NoReturn:
     raise ValueError(f"number {number[:20]} is not finite")
 

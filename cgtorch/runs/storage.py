@@ -222,19 +222,20 @@ def save_progress(
     folder: Path, progress: Progress[Any], seed: int, accepted: SkillAccepted[Any] | None = None
 ) -> None:
     """Write everything that the next stage needs into a folder, and the evidence for eq. 1."""
+    notes = {"seed": str(seed)}
     if progress.skill is not None:
         save_skill(folder / "skill.json", progress.skill)
     known = progress.solved, progress.missed, progress.chance
     save_scenarios(folder / "scenarios.json", *known, accepted)
     if (seen := progress.seen) is not None:
-        save_tensors(folder / "seen.safetensors", {"percepts": seen}, {})
+        save_tensors(folder / "seen.safetensors", {"percepts": seen}, notes)
     if isinstance(progress.knowledge, Known):
-        save_tensors(folder / KNOWN, progress.knowledge.tensors(), {"seed": str(seed)})
+        save_tensors(folder / KNOWN, progress.knowledge.tensors(), notes)
     elif progress.knowledge is not None:
-        save_knowledge(folder, progress.knowledge, {"seed": str(seed)})
+        save_knowledge(folder, progress.knowledge, notes)
     if (population := progress.specialists) is not None:
         tensors = {**vars(population.graphs), "strategy": population.strategy}
-        save_tensors(folder / "specialists.safetensors", tensors, {})
+        save_tensors(folder / "specialists.safetensors", tensors, notes)
 
 
 def load_progress(run: StoredRun, folder: Path) -> Progress[Any]:

@@ -49,6 +49,7 @@ from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
 from cgtorch.native.processes import counted
+from cgtorch.runs.belonging import check_parts
 from cgtorch.runs.imagines import check_imagined, models_of, reward_models_of
 from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings
@@ -273,12 +274,14 @@ def read_run(
             "run folder (--run-dir) for a new run"
         )
     if isinstance(domain, Domain):
-        return _checked(folder, settings, domain, driver or "")
-    own = settings_in(folder, settings_class(settings.domain), about.get("domain_settings"))
-    check_name(settings.domain, own)
-    made = domain_class(settings.domain)
-    read = made.files.read(made, own, folder)
-    return _checked(folder, settings, read, driver or "")
+        run = _checked(folder, settings, domain, driver or "")
+    else:
+        own = settings_in(folder, settings_class(settings.domain), about.get("domain_settings"))
+        check_name(settings.domain, own)
+        made = domain_class(settings.domain)
+        run = _checked(folder, settings, made.files.read(made, own, folder), driver or "")
+    check_parts(folder, ("start", *run.domain.stages, *run.rounds), settings.seed)
+    return run
 
 
 def settings_in(folder: Path, kind: type[T], data: Any) -> T:

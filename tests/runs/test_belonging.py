@@ -1,0 +1,72 @@
+"""Parts of two runs that were mixed are refused when the run is read."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from trained import SMALL, Trained, copied
+
+from cgtorch.ground.errors import RunError
+from cgtorch.ground.files import head_notes
+from cgtorch.runs.chosen import lone_skill
+from cgtorch.runs.storage import save_tensors
+from cgtorch.runs.stored_run import read_run
+
+
+def test_stages_that_changed_places_are_refused(trained: Trained, tmp_path: Path) -> None:
+    run = copied(trained, tmp_path / "run")
+    for old, new in (("S0", "t"), ("S1", "S0"), ("t", "S1")):
+        (run / old).rename(run / new)
+    with pytest.raises(RunError, match=r"/S0/skill.json' holds skill 'S1', not 'S0': its folder"):
+        read_run(run)
+    (run / "S1").rename(run / "mine")  # what is no stage is the user's
+    (run / "S0").rename(run / "S1")
+    assert read_run(run).stages == ()
+
+
+def test_one_skill_file_of_another_stage_is_refused(trained: Trained, tmp_path: Path) -> None:
+    run = copied(trained, tmp_path / "run")
+    shutil.copy(run / "S0" / "skill.json", run / "S1" / "skill.json")
+    with pytest.raises(RunError, match=r"/S1/skill.json' holds skill 'S0', not 'S1'.*; restore it"):
+        read_run(run)
+    assert lone_skill(run / "S1" / "skill.json")[2].name == "S0"
+
+
+@pytest.mark.parametrize("file", ["start/data", "S0/aside", "S1/seen"])
+def test_files_of_another_seed_are_refused(trained: Trained, tmp_path: Path, file: str) -> None:
+    run = copied(trained, tmp_path / "run")
+    path = run / f"{file}.safetensors"
+    assert head_notes(path)["seed"] == str(SMALL.seed)
+    save_tensors(path, {"percepts": torch.zeros(1, 2)}, {"seed": "99"})
+    with pytest.raises(RunError, match=rf"{file}.safetensors' was made with seed 99, and run.json"):
+        read_run(run)
+    save_tensors(path, {"percepts": torch.zeros(1, 2)}, {})  # as older versions wrote it
+    assert read_run(run).stages == ("S0", "S1")
+
+
+def test_a_seed_that_was_edited_is_refused(trained: Trained, tmp_path: Path) -> None:
+    run = copied(trained, tmp_path / "run")
+    about = json.loads((run / "run.json").read_text())
+    about["settings"]["seed"] = SMALL.seed + 1
+    (run / "run.json").write_text(json.dumps(about))
+    said = f"was made with seed {SMALL.seed}, and run.json says {SMALL.seed + 1}: one of them"
+    with pytest.raises(RunError, match=said):
+        read_run(run)
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff" * 40, b"\x05" + bytes(7) + b"[[[[[" + bytes(9)])
+def test_files_without_notes_are_left_to_their_readers(
+    trained: Trained, tmp_path: Path, content: bytes
+) -> None:
+    run = copied(trained, tmp_path / "run")
+    for file in ("S0/skill.json", "S1/data.safetensors"):
+        (run / file).write_bytes(content)
+    assert head_notes(run / "S1" / "data.safetensors") == head_notes(run) == {}
+    read_run(run)
+
+
+def test_a_run_may_be_moved(trained: Trained, tmp_path: Path) -> None:
+    run = copied(trained, tmp_path / "run").rename(tmp_path / "another name")
+    assert read_run(run).stages == ("S0", "S1")
