@@ -1,15 +1,43 @@
-"""Whether the parts of a run belong together: the skill of each stage, and the seed of its data."""
+"""Whether a run, its parts and its domain belong together, as far as its files tell.
 
-from collections.abc import Iterable
+A skill file has the name of its stage, other files have the seed of the run in their notes, and
+run.json names the numbers of percepts and controls under "percept" and "control". Of these, the
+seed and the names may be missing, as in runs of older versions.
+"""
+
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cgtorch.ground.errors import CgtorchError, RunError
+from cgtorch.domains.domain import Domain
+from cgtorch.ground.errors import CgtorchError, DomainError, RunError
 from cgtorch.ground.files import head_notes, read_json
 
 SEEDED = "data", "aside", "known", "seen", "specialists"
-"""The files of a stage whose notes have the seed of the run, though older ones may lack it."""
+"""The files of a stage whose notes have the seed of the run."""
+MOST = 300  # characters of names in a message
+
+
+def fields_of(domain: Domain[Any]) -> dict[str, list[str]]:
+    """The names of a domain's percept and control, as run.json has them."""
+    return {
+        part: [field.name for field in getattr(domain, part)] for part in ("percept", "control")
+    }
+
+
+def check_fields(run: Path, about: Mapping[str, Any], domain: Domain[Any]) -> None:
+    """DomainError if a domain has other percepts or controls than run.json (`about`) names."""
+    for part, now in fields_of(domain).items():
+        was = about.get(part)
+        if was is None or was == now:
+            continue
+        made = ", ".join(map(str, was)) if isinstance(was, list) else repr(was)
+        raise DomainError(
+            f"{type(domain).__name__} has {part} {', '.join(now):.{MOST}} by now, and run "
+            f"{str(run)!r} was made with {made:.{MOST}}; bring that back, or train another run "
+            "(--run-dir)"
+        )
 
 
 def check_parts(run: Path, stages: Iterable[str], seed: int) -> None:

@@ -2,7 +2,7 @@
 
 The folder contains:
 
-    run.json            format, versions, domain, settings, goal
+    run.json            format, versions, domain, settings, names of percept and control, goal
     robot/ …            files of the domain, such as the tabletop's robot
     start/              the state before the first stage: data, Γ, C
     S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists
@@ -49,7 +49,7 @@ from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
 from cgtorch.native.processes import counted
-from cgtorch.runs.belonging import check_parts
+from cgtorch.runs.belonging import check_fields, check_parts, fields_of
 from cgtorch.runs.imagines import check_imagined, models_of, reward_models_of
 from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings
@@ -216,6 +216,7 @@ def write_run(run: StoredRun) -> None:
         **run.files.made_with(),
         "settings": to_plain(run.settings),
         "domain_settings": to_plain(run.domain.settings),
+        **fields_of(run.domain),
     }
     with nullcontext(folder) if (folder / "run.json").exists() else whole_folder(folder) as new:
         run.files.write(new)
@@ -280,6 +281,7 @@ def read_run(
         check_name(settings.domain, own)
         made = domain_class(settings.domain)
         run = _checked(folder, settings, made.files.read(made, own, folder), driver or "")
+    check_fields(folder, about, run.domain)
     check_parts(folder, ("start", *run.domain.stages, *run.rounds), settings.seed)
     return run
 

@@ -1,18 +1,22 @@
-"""Parts of two runs that were mixed are refused when the run is read."""
+"""Parts of two runs that were mixed, and a domain that has changed, are refused at reading."""
 
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from trained import SMALL, Trained, copied
 
-from cgtorch.ground.errors import RunError
+from cgtorch.ground.errors import DomainError, RunError
+from cgtorch.ground.fields import Field
 from cgtorch.ground.files import head_notes
 from cgtorch.runs.chosen import lone_skill
+from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import save_tensors
-from cgtorch.runs.stored_run import read_run
+from cgtorch.runs.stored_run import planned_run, read_run, write_run
+from examples.cart import Cart, Rail
 
 
 def test_stages_that_changed_places_are_refused(trained: Trained, tmp_path: Path) -> None:
@@ -70,3 +74,63 @@ def test_files_without_notes_are_left_to_their_readers(
 def test_a_run_may_be_moved(trained: Trained, tmp_path: Path) -> None:
     run = copied(trained, tmp_path / "run").rename(tmp_path / "another name")
     assert read_run(run).stages == ("S0", "S1")
+
+
+PLACE, WIND, PUSH = Field("place", "m"), Field("wind", "m"), Field("push", "m", -1, 1)
+
+
+class SlopeRail(Rail):
+    """Perceives a third number."""
+
+    def first_state(self, scenario: torch.Tensor) -> torch.Tensor:
+        """See `World.first_state`."""
+        return torch.nn.functional.pad(super().first_state(scenario), (0, 1))
+
+    def next_state(
+        self, state: torch.Tensor, control: torch.Tensor, scenario: torch.Tensor
+    ) -> torch.Tensor:
+        """See `World.next_state`."""
+        return torch.nn.functional.pad(super().next_state(state[:, :2], control, scenario), (0, 1))
+
+
+def changed(**parts: Any) -> Cart:
+    """The cart after somebody has changed its class."""
+    made = Cart()
+    vars(made).update(parts)
+    return made
+
+
+@pytest.fixture
+def cart_run(tmp_path: Path) -> Path:
+    write_run(
+        planned_run(tmp_path / "run", RunSettings(domain="examples.cart:Cart"), domain=Cart())
+    )
+    return tmp_path / "run"
+
+
+@pytest.mark.parametrize(
+    ("parts", "said"),
+    [
+        ({"percept": (WIND, PLACE)}, "percept wind, place by now, and run .* with place, wind;"),
+        ({"percept": (PLACE, Field("gust"))}, "percept place, gust by now, .* with place, wind;"),
+        ({"control": (Field("pull", "m", -1, 1),)}, "control pull by now, .* made with push;"),
+    ],
+)
+def test_a_domain_with_other_numbers_is_refused(
+    cart_run: Path, parts: dict[str, Any], said: str
+) -> None:
+    about = json.loads((cart_run / "run.json").read_text())
+    assert (about["percept"], about["control"]) == (["place", "wind"], ["push"])
+    read_run(cart_run, domain=Cart())
+    with pytest.raises(DomainError, match=f"Cart has {said} bring that back, or train another"):
+        read_run(cart_run, domain=changed(**parts))
+    for name in ("percept", "control"):  # as older versions wrote it
+        del about[name]
+    (cart_run / "run.json").write_text(json.dumps(about))
+    read_run(cart_run, domain=changed(**parts))
+
+
+def test_a_domain_that_perceives_more_is_refused(cart_run: Path) -> None:
+    more = {"percept": (PLACE, WIND, Field("slope")), "world": SlopeRail}
+    with pytest.raises(DomainError, match="Cart has percept place, wind, slope by now"):
+        read_run(cart_run, domain=changed(**more))
