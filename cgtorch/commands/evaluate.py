@@ -71,6 +71,7 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     if rest["picture"]:
         outputs.check_output(rest["picture"], rest["force"], path, "--picture")
     if rest["failures"]:
+        outputs.check_outputs(rest["failures"], outputs.WHY, rest["force"], path, "--failures")
         common.draw_without_display()
     with common.importing():
         import torch
