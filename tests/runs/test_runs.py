@@ -253,12 +253,10 @@ def test_results_count_what_was_asked_of_the_world(trained: Trained) -> None:
 
 def made_again(trained: Trained, folder: Path, seed: int) -> bytes:
     """The skill of S0 when it is made from the same start under a seed."""
-    folder = copied(trained, folder, ())
-    about = json.loads((folder / "run.json").read_text())
-    about["settings"]["seed"] = seed
-    (folder / "run.json").write_text(json.dumps(about))
+    run = read_run(copied(trained, folder, ()))
+    run = replace(run, settings=replace(run.settings, seed=seed))
     events: list[Event] = []
-    train(Training(read_run(folder), events.append, quietly), "S0")
+    train(Training(run, events.append, quietly), "S0")
     return (folder / "S0" / "skill.json").read_bytes()
 
 
