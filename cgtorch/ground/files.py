@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from cgtorch.ground.errors import CgtorchError, RunError
@@ -128,6 +129,21 @@ def whole_folder(path: Path) -> Iterator[Path]:
 def place_of(folder: Path) -> Path:
     """A folder for use in text: as given if it is relative, else its name only."""
     return folder if folder.name and not folder.is_absolute() else Path(folder.resolve().name)
+
+
+def as_word(path: Path) -> str:
+    """A path as a word of a shell, which no command takes for an option."""
+    return quote(f"./{path}" if str(path).startswith("-") else str(path))
+
+
+def check_name_of(folder: Path) -> None:
+    """RunError for the name of a folder that is no UTF-8, which TensorBoard cannot write into."""
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError as e:
+        raise RunError(
+            f"the name of folder {str(folder)!r} is no valid UTF-8; rename it, or choose another"
+        ) from e
 
 
 def read_versioned(path: Path, form: str, version: int, what: str) -> dict[str, Any]:

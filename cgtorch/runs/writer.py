@@ -15,7 +15,7 @@ from pathlib import Path
 
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
-from cgtorch.ground.files import strict_json, writing
+from cgtorch.ground.files import check_name_of, strict_json, writing
 
 try:
     import fcntl
@@ -34,8 +34,9 @@ def sole_writer(folder: Path) -> Iterator[None]:
     """A context in which no other process, and nobody else in this one, writes to a run.
 
     The first rank holds the lock for all. RunError if another has it, the file cannot be made,
-    or the folder goes away meanwhile.
+    the folder has a name that cannot be written, or it goes away meanwhile.
     """
+    check_name_of(folder)
     failure, file = "", -1
     if ranks.first():
         failure, file = _locked(folder)
@@ -54,6 +55,14 @@ def sole_writer(folder: Path) -> Iterator[None]:
         raise
     finally:
         _release(folder, file)
+
+
+def check_unwritten(folder: Path) -> None:
+    """RunError if another process writes to a run; each rank may ask by itself."""
+    failure, file = _locked(folder)
+    _release(folder, file)
+    if failure:
+        raise RunError(failure)
 
 
 def _locked(folder: Path) -> tuple[str, int]:

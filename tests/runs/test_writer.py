@@ -117,6 +117,14 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
         enter(tmp_path / "none")
 
 
+def test_a_folder_whose_name_is_no_text_is_refused(tmp_path: Path) -> None:
+    folder = Path(os.fsdecode(bytes(tmp_path) + b"/M\xfcller"))
+    folder.mkdir()
+    with pytest.raises(RunError, match=r"folder '.*ller' is no valid UTF-8; rename it, or choose"):
+        enter(folder)
+    assert not list(folder.iterdir())
+
+
 FAILURES = [RunError("cannot write"), FileNotFoundError("gone"), ValueError("odd")]
 
 
