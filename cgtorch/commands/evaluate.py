@@ -70,6 +70,11 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     """
     if rest["picture"]:
         outputs.check_output(rest["picture"], rest["force"], path, "--picture")
+        if rest["picture"].suffix.lower() != ".png":
+            raise SettingsError(
+                f"--picture is {str(rest['picture'])!r}, and a PNG file is written; give a name "
+                "that ends in .png"
+            )
     if rest["failures"]:
         outputs.check_outputs(rest["failures"], outputs.WHY, rest["force"], path, "--failures")
         common.draw_without_display()

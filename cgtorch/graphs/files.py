@@ -51,7 +51,11 @@ def load_skill(path: Path | str, actions: ActionSet | None = None) -> Skill:
     Without `actions` they are those that the file names, which have to be the library's. GraphError
     if it cannot be read or contains no skill, ActionError for an unknown action.
     """
-    return skill_from_dict(read_json(path, MAX_BYTES, GraphError), actions)
+    data = read_json(path, MAX_BYTES, GraphError)
+    try:
+        return skill_from_dict(data, actions)
+    except (GraphError, ActionError) as e:
+        raise type(e)(f"in {str(path)!r}, {e}") from e
 
 
 def skill_to_dict(skill: Skill) -> dict[str, Any]:

@@ -19,6 +19,19 @@ SEEDED = "data", "aside", "known", "seen", "specialists"
 MOST = 300  # characters of names in a message
 
 
+def instead_of_run(
+    path: Path, usual: str = "is no run (it has no run.json); give the folder of a run"
+) -> str:
+    """What a path is that has no run.json, and what to do: `usual`, or what is seen there."""
+    if path.is_file():
+        return "is no run but a file; give a folder"
+    if ((whole := path.absolute().parent) / "run.json").is_file():
+        return f"is no run but a part of the run {str(whole)!r}; give that"
+    if (path / "log.jsonl").exists() or any(path.glob("*/skill.json")):
+        return "has parts of a run, and its run.json is lost; restore that, or choose another"
+    return usual
+
+
 def fields_of(domain: Domain[Any]) -> dict[str, list[str]]:
     """The names of a domain's percept and control, as run.json has them."""
     return {

@@ -154,8 +154,8 @@ def lone_skill(
     if damaged:
         raise damaged[0]
     # Each variant lacks some actions of the others; the message names one that all of them lack.
-    elsewhere = tuple(f"unknown action {name!r}" for name in known)
-    others = [e for e in errors if not str(e).startswith(elsewhere)]
+    elsewhere = [f"unknown action {name!r}" for name in known]
+    others = [e for e in errors if not any(said in str(e) for said in elsewhere)]
     raise ActionError(
         f"{(others or errors)[0]}; name your own domain or action with --domain or --actions "
         "package.module:Class"

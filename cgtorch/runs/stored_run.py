@@ -49,7 +49,7 @@ from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
 from cgtorch.native.processes import counted
-from cgtorch.runs.belonging import check_fields, check_parts, fields_of
+from cgtorch.runs.belonging import check_fields, check_parts, fields_of, instead_of_run
 from cgtorch.runs.imagines import check_imagined, models_of, reward_models_of
 from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings
@@ -192,7 +192,8 @@ def planned_run(
         domain = make_domain(settings.domain, domain_settings)
     run = _checked(folder, settings, domain, settings.driver)
     if not anew and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise RunError(f"{str(folder)!r} is not empty and holds no run; choose another folder")
+        usual = "is not empty and holds no run; choose another folder"
+        raise RunError(f"{str(folder)!r} {instead_of_run(folder, usual)}")
     if Path(os.path.realpath(folder)) == Path.cwd():  # `resolve` fails for a loop of links
         raise RunError("a run cannot replace the current folder; choose another, such as runs/one")
     return run
@@ -296,10 +297,8 @@ def settings_in(folder: Path, kind: type[T], data: Any) -> T:
 
 def read_about(folder: Path) -> dict[str, Any]:
     """The content of run.json; RunError if there is no run, or it has another version."""
-    if folder.is_file():
-        raise RunError(f"{str(folder)!r} is no run but a file; give the folder of a run")
     if not (folder / "run.json").is_file():
-        raise RunError(f"{str(folder)!r} is no run (it has no run.json); give the folder of a run")
+        raise RunError(f"{str(folder)!r} {instead_of_run(folder)}")
     return read_versioned(folder / "run.json", FORMAT, VERSION, "a cgtorch run")
 
 

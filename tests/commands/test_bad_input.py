@@ -89,7 +89,7 @@ def test_training_with_bad_arguments(
         (["run", "--actions", "Fly"], "was begun without action 'Fly' and cannot use it"),
         (["run", "--skill", "S7"], "no skill 'S7' in run 'run'; give one of S0"),
         (["run", "--skill", "../S0"], "no skill '../S0' in run"),
-        (["run/S0", "--skill", "S0"], "'run/S0' is no run (it has no run.json)"),
+        (["run/S0", "--skill", "S0"], "'run/S0' is no run but a part of the run"),
         (["run/S1"], "'run/S1' is no run and no stage of one"),
         (["run/start"], "'run/start' is no run and no stage of one"),
         (["run/run.json"], "not a skill file"),

@@ -79,6 +79,11 @@ def test_pictures_and_films_replace_no_file_unasked(
     assert (tmp_path / "old.gif").read_text() == "precious"
 
 
+def test_a_picture_is_a_png(shell: Shell) -> None:
+    said = shell.refuses(EVALUATE, REFERENCE, "--picture", "new.jpg")
+    assert "--picture is 'new.jpg', and a PNG file is written; give a name that ends" in said
+
+
 def test_what_is_read_is_not_replaced_by_force(shell: Shell) -> None:
     skill = REFERENCE / "S3" / "skill.json"
     for words in ((EXPORT, REFERENCE, "--format", "mermaid"), (REPORT, REFERENCE)):

@@ -9,12 +9,13 @@ import pytest
 import torch
 from trained import SMALL, Trained, copied
 
-from cgtorch.ground.errors import DomainError, RunError
+from cgtorch.graphs import load_skill
+from cgtorch.ground.errors import ActionError, DomainError, RunError
 from cgtorch.ground.fields import Field
 from cgtorch.ground.files import head_notes
 from cgtorch.runs.chosen import lone_skill
 from cgtorch.runs.settings import RunSettings
-from cgtorch.runs.storage import save_tensors
+from cgtorch.runs.storage import load_dataset, save_tensors
 from cgtorch.runs.stored_run import planned_run, read_run, write_run
 from examples.cart import Cart, Rail
 
@@ -134,3 +135,42 @@ def test_a_domain_that_perceives_more_is_refused(cart_run: Path) -> None:
     more = {"percept": (PLACE, WIND, Field("slope")), "world": SlopeRail}
     with pytest.raises(DomainError, match="Cart has percept place, wind, slope by now"):
         read_run(cart_run, domain=changed(**more))
+
+
+def test_what_is_in_the_place_of_a_run_is_told(trained: Trained, tmp_path: Path) -> None:
+    run = copied(trained, tmp_path / "run")
+    settings = RunSettings(domain="examples.cart:Cart")
+    said = [
+        (run / "run.json", "is no run but a file"),
+        (run / "S0", "but a part of the run '.*run'"),
+    ]
+    for path, why in said:
+        for use in (read_run, lambda path: planned_run(path, settings)):
+            with pytest.raises(RunError, match=why):
+                use(path)
+    (run / "run.json").unlink()
+    for use in (read_run, lambda path: planned_run(path, settings)):
+        with pytest.raises(
+            RunError, match=r"has parts of a run, and its run.json is lost; restore"
+        ):
+            use(run)
+
+
+def test_data_of_another_type_are_told(trained: Trained, tmp_path: Path) -> None:
+    path = copied(trained, tmp_path / "run") / "S1" / "data.safetensors"
+    data = load_dataset(path)
+    save_tensors(path, {**vars(data), "control": data.control.double()}, {})
+    with pytest.raises(
+        RunError, match=r"control of .*data.safetensors' is float64, and float32 is"
+    ):
+        load_dataset(path)
+
+
+def test_a_skill_of_another_domain_is_told_with_its_file(trained: Trained, tmp_path: Path) -> None:
+    path = copied(trained, tmp_path / "run") / "S1" / "skill.json"
+    run = read_run(path.parents[1])
+    data = json.loads(path.read_text())
+    data["nodes"][0]["action"] = "Look"
+    path.write_text(json.dumps(data))
+    with pytest.raises(ActionError, match=r"in '.*/S1/skill.json', unknown action 'Look'"):
+        load_skill(path, run.actions)
