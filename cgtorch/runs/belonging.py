@@ -23,10 +23,10 @@ def instead_of_run(
     path: Path, usual: str = "is no run (it has no run.json); give the folder of a run"
 ) -> str:
     """What a path is that has no run.json, and what to do: `usual`, or what is seen there."""
-    if path.is_file():
-        return "is no run but a file; give a folder"
     if ((whole := path.absolute().parent) / "run.json").is_file():
-        return f"is no run but a part of the run {str(whole)!r}; give that"
+        return f"is no run but a part of the run {str(whole)!r}; give that, or choose another"
+    if path.is_file():
+        return "is no run but a file; choose another, which is a folder"
     if (path / "log.jsonl").exists() or any(path.glob("*/skill.json")):
         return "has parts of a run, and its run.json is lost; restore that, or choose another"
     return usual

@@ -326,7 +326,8 @@ def test_names_in_files_lead_nowhere(shell: Shell, run_folder: Path, tmp_path: P
     path = run_folder / "S0" / "skill.json"
     before = listing(tmp_path)
     path.write_text(json.dumps(json.loads(path.read_text()) | {"name": "../../../secret"}))
-    shell.does(EVALUATE, run_folder, "--count", 1)
+    shell.does(EVALUATE, path, "--count", 1)
+    assert "S0/skill.json' holds skill '../../../secret'" in shell.refuses(EVALUATE, run_folder)
     assert listing(tmp_path) == before
     assert (tmp_path / "secret").read_text() == "text"
 

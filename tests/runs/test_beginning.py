@@ -118,7 +118,7 @@ def test_a_run_does_not_replace_what_is_there(
     full = tmp_path / "full"
     full.mkdir()
     (full / "other").touch()
-    with pytest.raises(RunError, match="is no run but a file; give a folder"):
+    with pytest.raises(RunError, match="is no run but a file; choose another"):
         planned_run(tmp_path / "file", SMALL)
     with pytest.raises(RunError, match="is not empty and holds no run; choose another folder"):
         planned_run(full, SMALL)

@@ -141,7 +141,7 @@ def test_what_is_in_the_place_of_a_run_is_told(trained: Trained, tmp_path: Path)
     run = copied(trained, tmp_path / "run")
     settings = RunSettings(domain="examples.cart:Cart")
     said = [
-        (run / "run.json", "is no run but a file"),
+        (run / "run.json", "is no run but a part of the run '.*run'; give"),
         (run / "S0", "but a part of the run '.*run'"),
     ]
     for path, why in said:
