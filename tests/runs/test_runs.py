@@ -106,7 +106,7 @@ def test_a_run_is_moved_as_a_whole(trained: Trained, tmp_path: Path) -> None:
     with pytest.raises(RunError, match="is no run and no stage of one"):
         last_skill(folder / "S2")
     shutil.copytree(folder / "S1", tmp_path / "alone" / "S1")
-    with pytest.raises(RunError, match=r"has no run\.json"):
+    with pytest.raises(RunError, match=r"its run\.json is lost"):
         last_skill(tmp_path / "alone" / "S1")
 
 
