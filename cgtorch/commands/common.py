@@ -79,7 +79,8 @@ def run_command(command: click.Command) -> None:
             name_of = os.fsdecode(e.filename) if isinstance(e.filename, bytes) else e.filename
             where = repr(str(name_of)[:200]) if name_of else "its output or a file"
             reason = e.strerror or type(e).__name__
-            _end(name, f"cannot read or write {where} ({reason}); check the path and the disk", 2)
+            said = f"cannot read or write {where} ({reason}); check the path and the disk"
+            _end(name, "; ".join([said, *getattr(e, "__notes__", ())]), 2)
         except (Exception, SystemExit) as e:
             _end_if_known(name, e)
             raise

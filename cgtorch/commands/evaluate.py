@@ -11,7 +11,7 @@ import click
 from cgtorch.commands import common, outputs
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.statistics import wilson
-from cgtorch.runs.replacing import check_output
+from cgtorch.runs.replacing import WHY, check_output, check_outputs
 from cgtorch.runs.settings import MOST_TRIED
 
 if TYPE_CHECKING:
@@ -72,7 +72,13 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     """
     if rest["picture"]:
         check_output(rest["picture"], rest["force"], path, "--picture")
+        if rest["picture"].suffix.lower() != ".png":
+            raise SettingsError(
+                f"--picture is {str(rest['picture'])!r}, and a PNG file is written; give a name "
+                "that ends in .png"
+            )
     if rest["failures"]:
+        check_outputs(rest["failures"], WHY, rest["force"], path, "--failures")
         common.draw_without_display()
     with common.importing():
         import torch

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 from rich.console import Console
@@ -15,6 +14,7 @@ from cgtorch.domains.registry import TABLETOP, with_name
 from cgtorch.domains.settings import DomainSettings
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NOTHING
+from cgtorch.ground.files import as_word
 from cgtorch.native.rank_processes import in_ranks
 from cgtorch.report import ProgressDisplay, final_table
 from cgtorch.report.messages import asked_of
@@ -134,7 +134,7 @@ def _before(work: Work) -> Iterator[str]:
         yield "  1. Evolve skills in the world itself; no models are learned."
         yield "  2. Accept a skill if it forgets nothing and solves something new."
     yield f"  {takes} Progress appears here, and in TensorBoard:"
-    yield f"    tensorboard --logdir {_quoted(run)}"
+    yield f"    tensorboard --logdir {as_word(run.folder)}"
     yield f"  Ctrl-C stops the run, and this command continues it: {resuming(run)}"
 
 
@@ -162,7 +162,7 @@ def _end(work: Work, results: list[dict[str, Any]]) -> str:
 
 def _after(work: Work) -> Iterator[str]:
     """Whether the last skill has each additional action, and what to look at next."""
-    run, folder, code = work.run, _quoted(work.run), own_code(work.run)
+    run, folder, code = work.run, as_word(work.run.folder), own_code(work.run)
     if added := set(run.actions.names) - set(run.domain.actions().names):
         _, skill = last_skill(run.folder, run.settings.actions, run.settings.domain)
         for name in sorted(added):
@@ -180,8 +180,3 @@ def _after(work: Work) -> Iterator[str]:
     later = [name for name in run.domain.stages if name not in run.stages]
     if later and not work.auto:
         yield f"  {resuming(run)} --stage {later[-1]}  # more stages"
-
-
-def _quoted(run: StoredRun) -> str:
-    """The folder of a run as a word of a shell."""
-    return quote(str(run.folder))

@@ -58,7 +58,11 @@ def load_skill(path: Path | str, actions: ActionSet | None = None) -> Skill:
     """
     if actions is not None:
         of_kind(actions, ActionSet, "actions", "an ActionSet, such as domain.actions()")
-    return skill_from_dict(read_json(path, MAX_BYTES, GraphError), actions)
+    data = read_json(path, MAX_BYTES, GraphError)
+    try:
+        return skill_from_dict(data, actions)
+    except (GraphError, ActionError) as e:
+        raise type(e)(f"in {str(path)!r}, {e}") from e
 
 
 def skill_to_dict(skill: Skill) -> dict[str, Any]:

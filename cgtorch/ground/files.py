@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from cgtorch.ground.errors import CgtorchError, RunError
@@ -142,6 +143,21 @@ def place_of(folder: Path) -> Path:
     return folder if folder.name and not folder.is_absolute() else Path(folder.resolve().name)
 
 
+def as_word(path: Path) -> str:
+    """A path as a word of a shell, which no command takes for an option."""
+    return quote(f"./{path}" if str(path).startswith("-") else str(path))
+
+
+def check_name_of(folder: Path) -> None:
+    """RunError for the name of a folder that is no UTF-8, which TensorBoard cannot write into."""
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError as e:
+        raise RunError(
+            f"the name of folder {str(folder)!r} is no valid UTF-8; rename it, or choose another"
+        ) from e
+
+
 def read_versioned(path: Path, form: str, version: int, what: str) -> dict[str, Any]:
     """Read a JSON object with its format and version; RunError if these differ."""
     data = read_json(path)
@@ -229,6 +245,19 @@ def notes_of(data: bytes) -> dict[str, Any]:
     """The notes in the JSON header of a safetensors file that has been checked."""
     length = int.from_bytes(data[:_LENGTH], "little")
     return json.loads(data[_LENGTH : _LENGTH + length]).get("__metadata__") or {}
+
+
+def head_notes(path: Path) -> dict[str, Any]:
+    """The notes of a safetensors file, of which only the header is read; {} if it has none."""
+    try:
+        with path.open("rb") as file:
+            begin = file.read(_LENGTH)
+            length = int.from_bytes(begin, "little")
+            head = file.read(length) if length <= os.fstat(file.fileno()).st_size else b""
+        found = notes_of(begin + head)
+    except (OSError, ValueError, RecursionError, AttributeError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _refuse(number: str) -> NoReturn:

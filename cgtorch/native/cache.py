@@ -1,9 +1,14 @@
 """The cache of compiled code: only what is this user's own, and whole, is taken from it."""
 
+import atexit
 import os
+import shutil
 import stat
 import struct
+import sys
+from functools import cache
 from pathlib import Path
+from tempfile import mkdtemp
 
 ELF, HEADER = b"\x7fELF\x02\x01", 64
 """The begin of a library on Linux, or of a GPU's machine code, and the bytes of its header."""
@@ -21,6 +26,38 @@ def cache_folder() -> Path:
         if is_own(home / name):
             return home / name
     raise PermissionError(f"the cache in {home} belongs to others")
+
+
+def kept(file: str) -> Path | None:
+    """The path of compiled code in the cache; None if it is not there and cannot be written."""
+    try:
+        path = cache_folder() / file
+    except OSError:
+        return None
+    return path if is_whole(path) or os.access(path.parent, os.W_OK) else None
+
+
+@cache
+def folder_of_process() -> Path:
+    """A folder for compiled code of this process and its forks alone, which goes with it.
+
+    It takes the place of a cache that cannot be written, which is said. OSError without any folder
+    for temporary files.
+    """
+    folder = Path(mkdtemp(prefix="cgtorch-"))
+    atexit.register(_remove, folder, os.getpid())
+    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    print(  # noqa: T201
+        f"cannot write the cache in {home!r}: compiling into a temporary folder, each time anew; "
+        "set XDG_CACHE_HOME to a folder of yours",
+        file=sys.stderr,
+    )
+    return folder
+
+
+def _remove(folder: Path, process: int) -> None:
+    if os.getpid() == process:  # and not a fork of it
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def is_own(path: Path) -> bool:

@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from cgtorch.native.cache import cache_folder, is_whole
+from cgtorch.native.cache import folder_of_process, is_whole, kept
 from cgtorch.native.compiler import SOURCES
 from cgtorch.native.library import REALS
 
@@ -137,7 +137,8 @@ def machine_code(module: Module, architecture: str) -> bytes:
     options = [f"-D{name}={value}" for name, value in module.defines().items()]
     about = [architecture, *map(str, nvrtc_version()), *FLAGS, *options, sources_digest()]
     key = hashlib.sha256("\0".join(about).encode()).hexdigest()[:32]
-    path = cache_folder() / f"{module.name}-{architecture}-{key}.cubin"
+    name = f"{module.name}-{architecture}-{key}.cubin"
+    path = kept(name) or folder_of_process() / name
     if not is_whole(path):
         made = cubin(module.source, architecture, options)
         with NamedTemporaryFile(dir=path.parent, delete=False) as file:

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from cgtorch.ground.errors import CompilerError
 from cgtorch.native import compiler
-from cgtorch.native.cache import cache_folder, is_whole
+from cgtorch.native.cache import folder_of_process, is_whole, kept
 
 REALS = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}
 """The type of `REAL` in C for numbers of these types."""
@@ -49,6 +49,7 @@ _DECLARATION = re.compile(r"(const )?(?:unsigned )?(\w+) (.*)", re.DOTALL)
 _EXPORT = re.compile(r"^EXPORT_(STRUCT|CONSTANTS)\((\w+)", re.MULTILINE)
 
 _threads = 0
+_failure = "there is none for this machine"
 
 
 def available() -> bool:
@@ -143,9 +144,8 @@ def required(dtype: torch.dtype) -> Interface:
     found = built(dtype)
     if found is None:
         raise CompilerError(
-            "the kinematics of arms needs compiled code, and there is none for this machine: "
-            "install a C compiler such as gcc (or name yours by CC), or install cgtorch from a "
-            "wheel for this machine"
+            f"the kinematics of arms needs compiled code, and {_failure}: install a C compiler "
+            "such as gcc (or name yours by CC), or install cgtorch from a wheel for this machine"
         )
     return found
 
@@ -171,16 +171,25 @@ def _switched_on() -> bool:
 
 def _loaded(real: str) -> ctypes.CDLL | None:
     """The library compiled on this machine, or else one from the wheel, or None."""
+    global _failure
     try:
-        if path := _kept(real):
-            if not is_whole(path):
-                name = compiler.found_compiler() or ""
-                with _told_if_slow(f"compiling the engine for this CPU, once ({real}) ..."):
-                    compiler.compile_libraries(name, {path: (real, compiler.own_target(name))})
-            return ctypes.CDLL(str(path))
-    except (OSError, subprocess.SubprocessError):
-        pass
+        if (name := compiler.found_compiler()) is not None:
+            file = compiler.file_name(real, name, compiler.own_target(name))
+            path = kept(file)
+            if path is None and (found := _from_wheel(real)):
+                return found
+            return _compiled(name, real, path or folder_of_process() / file)
+    except (OSError, subprocess.SubprocessError) as e:
+        _failure = f"{name} does not compile it ({' '.join(str(e).split()):.200})"
     return _from_wheel(real)
+
+
+def _compiled(name: str, real: str, path: Path) -> ctypes.CDLL:
+    """The library at a path, where this compiler writes it unless it is there."""
+    if not is_whole(path):
+        with _told_if_slow(f"compiling the engine for this CPU, once ({real}) ..."):
+            compiler.compile_libraries(name, {path: (real, compiler.own_target(name))})
+    return ctypes.CDLL(str(path))
 
 
 @contextmanager
@@ -192,14 +201,6 @@ def _told_if_slow(what: str) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
-
-
-def _kept(real: str) -> Path | None:
-    """The path of the compiled sources, whether they exist or not; None without a compiler."""
-    name = compiler.found_compiler()
-    if name is None:
-        return None
-    return cache_folder() / compiler.file_name(real, name, compiler.own_target(name))
 
 
 def _from_wheel(real: str) -> ctypes.CDLL | None:

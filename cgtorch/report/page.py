@@ -1,6 +1,5 @@
 """A run as one HTML page, made from the run's folder alone: its contents, in a template."""
 
-import shlex
 from base64 import b64encode
 from dataclasses import dataclass
 from importlib.resources import files
@@ -16,7 +15,7 @@ from cgtorch.domains.film import animated
 from cgtorch.graphs import load_skill
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.errors import CgtorchError, RunError
-from cgtorch.ground.files import place_of, read_json
+from cgtorch.ground.files import as_word, place_of, read_json
 from cgtorch.ground.statistics import wilson
 from cgtorch.report.failure_section import failure_section
 from cgtorch.report.html import STYLE, inline_svg, templates
@@ -239,7 +238,7 @@ def _text(value: object) -> str:
 
 def _using(contents: Contents) -> list[str]:
     """Commands that use the run."""
-    name, rest = shlex.quote(place_of(contents.run.folder).as_posix()), own_code(contents.run)
+    name, rest = as_word(place_of(contents.run.folder)), own_code(contents.run)
     commands = [
         f"cgtorch-evaluate {name} --scenarios {contents.run.kind} --count 1000{rest}",
         f"cgtorch-export {name} --format state-machine --output skill.py{rest}",

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.files import as_word
 from cgtorch.runs.settings import NAMES, RunSettings, all_fields, option_of
 from cgtorch.runs.stored_run import StoredRun
 
@@ -21,7 +22,7 @@ def refuse_others(run: StoredRun, given: Mapping[str, Any], how: str) -> None:
             raise SettingsError(f"{about}, and cannot change it, as {fixed[name]}; {how}")
         raise SettingsError(
             f"{about}; {how}, or take it over with Run.resume({name}={value!r}), or --resume "
-            f"{run.folder} --override {option_of(name)[2:]}={value}"
+            f"{as_word(run.folder)} --override {option_of(name)[2:]}={value}"
         )
 
 

@@ -11,6 +11,7 @@ from cgtorch.domains.registry import is_code, make_domain
 from cgtorch.graphs import Skill, load_skill, resolve_actions
 from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import ActionError, GraphError, RunError, SettingsError
+from cgtorch.ground.files import as_word
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import ASIDE, DATA, load_dataset
 from cgtorch.runs.stored_run import SKILL, StoredRun, read_about, read_run, settings_in
@@ -112,7 +113,7 @@ def last_skill(
 def resuming(run: StoredRun) -> str:
     """The command that continues a run."""
     driver = f" --driver {quote(run.settings.driver)}" if run.settings.driver else ""
-    return f"cgtorch-train --resume {quote(str(run.folder))}{own_code(run)}{driver}"
+    return f"cgtorch-train --resume {as_word(run.folder)}{own_code(run)}{driver}"
 
 
 def own_code(run: StoredRun) -> str:
@@ -153,8 +154,8 @@ def lone_skill(
     if damaged:
         raise damaged[0]
     # Each variant lacks some actions of the others; the message names one that all of them lack.
-    elsewhere = tuple(f"unknown action {name!r}" for name in known)
-    others = [e for e in errors if not str(e).startswith(elsewhere)]
+    elsewhere = [f"unknown action {name!r}" for name in known]
+    others = [e for e in errors if not any(said in str(e) for said in elsewhere)]
     raise ActionError(
         f"{(others or errors)[0]}; name your own domain or action with --domain or --actions "
         "package.module:Class"

@@ -1,12 +1,16 @@
 """What must not be replaced by a file that is written about a run or a skill."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from cgtorch.ground.errors import RunError
+from cgtorch.ground.files import read_json
 
 OF_A_RUN = (".json", ".jsonl", ".lock", ".safetensors")
 """The ends of names of files in the folder of a run itself; other files there are the user's."""
+WHY = ("failures.md", "failures.json", "kind-*.webp")
+"""Files on why a skill fails, which may lie in a run but are no part of it."""
 
 
 def check_output(
@@ -14,7 +18,7 @@ def check_output(
 ) -> None:
     """RunError if the output is a folder, is in none, or is a file that must not be replaced.
 
-    Among these are, also by `force`, those of the run, the stage or the skill file that is `read`.
+    Among these are, also by `force`, the skill file that is `read`, and the files of any run.
     Messages call the path `option`, and what lets it replace a file `forced`.
     """
     another = f"choose another {option}"
@@ -27,18 +31,37 @@ def check_output(
         )
     if output.exists() and not output.is_file():
         raise RunError(f"{str(output)!r} is a device or a pipe; {another}")
-    if output.exists() and _part_of(output, read):
+    if output.exists() and read.is_file() and os.path.samefile(output, read):
         raise RunError(f"{str(output)!r} is a part of {str(read)!r}, which is read; {another}")
+    if output.exists() and (run := _run_with(output)):
+        raise RunError(f"{str(output)!r} is a part of the run {str(run)!r}; {another}")
     if output.exists() and not force:
         raise RunError(f"{str(output)!r} exists; {another} or {forced}")
 
 
-def _part_of(file: Path, read: Path) -> bool:
-    """Whether an existing file belongs to what is read: a skill file, a run, or a stage of one."""
-    file, read = Path(os.path.realpath(file)), Path(os.path.realpath(read))
-    if read.is_file():
-        return os.path.samefile(file, read)
-    run = read if (read / "run.json").exists() else read.parent
-    if run not in file.parents or not (run / "run.json").exists():
+def check_outputs(folder: Path, names: Sequence[str], force: bool, read: Path, option: str) -> None:
+    """RunError if a folder has files of these names, or patterns, that must not be replaced."""
+    for path in sorted(path for name in names for path in folder.glob(name)):
+        check_output(path, force, read, option)
+
+
+def _run_with(file: Path) -> Path | None:
+    """The run of which an existing file, or the one to which it leads, is a part; else None."""
+    file = Path(os.path.realpath(file))
+    run = next((folder for folder in file.parents if _is_run(folder)), None)
+    if run is None or any(map(file.match, WHY)):
+        return None
+    part = file.parent != run or file.suffix in OF_A_RUN or ".tfevents." in file.name
+    return run if part else None
+
+
+def _is_run(folder: Path) -> bool:
+    """Whether a folder has the run.json of a run, even if that cannot be read."""
+    path = folder / "run.json"
+    if not path.is_file():
         return False
-    return file.parent != run or file.suffix in OF_A_RUN or ".tfevents." in file.name
+    try:
+        about = read_json(path)
+    except RunError:
+        return True
+    return isinstance(about, dict) and about.get("format") == "cgtorch-run"

@@ -56,12 +56,23 @@ def load_tensors(path: Path, names: set[str]) -> dict[str, Tensor]:
 def load_dataset(path: Path) -> Dataset:
     """Read a dataset; RunError if its tensors are not finite or do not fit one another."""
     data = Dataset(**load_tensors(path, {f.name for f in fields(Dataset)}))
+    for name, tensor in vars(data).items():
+        wanted = torch.bool if name == "succeeded" else torch.float32
+        if tensor.dtype != wanted:
+            raise RunError(
+                f"{name} of {str(path)!r} is {_plain(tensor.dtype)}, and {_plain(wanted)} is "
+                "wanted; restore the file"
+            )
     if not data.whole():
         raise RunError(
             f"the tensors of {str(path)!r} do not fit one another or are not finite; restore the "
             "file"
         )
     return data
+
+
+def _plain(kind: torch.dtype) -> str:
+    return str(kind).removeprefix("torch.")
 
 
 def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) -> None:
@@ -222,19 +233,20 @@ def save_progress(
     folder: Path, progress: Progress[Any], seed: int, accepted: SkillAccepted[Any] | None = None
 ) -> None:
     """Write everything that the next stage needs into a folder, and the evidence for eq. 1."""
+    notes = {"seed": str(seed)}
     if progress.skill is not None:
         save_skill(folder / "skill.json", progress.skill)
     known = progress.solved, progress.missed, progress.chance
     save_scenarios(folder / "scenarios.json", *known, accepted)
     if (seen := progress.seen) is not None:
-        save_tensors(folder / "seen.safetensors", {"percepts": seen}, {})
+        save_tensors(folder / "seen.safetensors", {"percepts": seen}, notes)
     if isinstance(progress.knowledge, Known):
-        save_tensors(folder / KNOWN, progress.knowledge.tensors(), {"seed": str(seed)})
+        save_tensors(folder / KNOWN, progress.knowledge.tensors(), notes)
     elif progress.knowledge is not None:
-        save_knowledge(folder, progress.knowledge, {"seed": str(seed)})
+        save_knowledge(folder, progress.knowledge, notes)
     if (population := progress.specialists) is not None:
         tensors = {**vars(population.graphs), "strategy": population.strategy}
-        save_tensors(folder / "specialists.safetensors", tensors, {})
+        save_tensors(folder / "specialists.safetensors", tensors, notes)
 
 
 def load_progress(run: StoredRun, folder: Path) -> Progress[Any]:
@@ -251,11 +263,16 @@ def load_progress(run: StoredRun, folder: Path) -> Progress[Any]:
     if (folder / "skill.json").is_file():
         progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
     if len(solved) or len(missed):
-        seen = load_tensors(folder / "seen.safetensors", {"percepts"})["percepts"]
-        right = seen.shape == (len(solved) + len(missed), len(run.domain.percept))
-        if not (right and seen.dtype == torch.float32 and seen.isfinite().all()):
+        path, shape = (
+            folder / "seen.safetensors",
+            (len(solved) + len(missed), len(run.domain.percept)),
+        )
+        seen = load_tensors(path, {"percepts"})["percepts"]
+        if (seen.shape, seen.dtype) != (shape, torch.float32) or not seen.isfinite().all():
             raise RunError(
-                f"the percepts of {str(folder)!r} are not those of W and M; restore them"
+                f"the percepts in {str(path)!r} are {_plain(seen.dtype)} of shape "
+                f"{tuple(seen.shape)}, and those of W and M are finite float32 of shape {shape}; "
+                "restore the file"
             )
         progress = replace(progress, seen=seen)
     if (folder / "specialists.safetensors").is_file():

@@ -2,7 +2,7 @@
 
 The folder contains:
 
-    run.json            format, versions, domain, settings, goal
+    run.json            format, versions, domain, settings, names of percept and control, goal
     robot/ …            files of the domain, such as the tabletop's robot
     start/              the state before the first stage: data, Γ, C
     S0/ S1/ …           each finished stage: skill, W and M, data, Γ, C, specialists
@@ -49,6 +49,7 @@ from cgtorch.ground.environment import ScenarioBatch
 from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsError
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
 from cgtorch.native.processes import counted
+from cgtorch.runs.belonging import check_fields, check_parts, fields_of, instead_of_run
 from cgtorch.runs.imagines import check_imagined, models_of, reward_models_of
 from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings
@@ -191,7 +192,8 @@ def planned_run(
         domain = make_domain(settings.domain, domain_settings)
     run = _checked(folder, settings, domain, settings.driver)
     if not anew and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise RunError(f"{str(folder)!r} is not empty and holds no run; choose another folder")
+        usual = "is not empty and holds no run; choose another folder"
+        raise RunError(f"{str(folder)!r} {instead_of_run(folder, usual)}")
     if Path(os.path.realpath(folder)) == Path.cwd():  # `resolve` fails for a loop of links
         raise RunError("a run cannot replace the current folder; choose another, such as runs/one")
     return run
@@ -215,6 +217,7 @@ def write_run(run: StoredRun) -> None:
         **run.files.made_with(),
         "settings": to_plain(run.settings),
         "domain_settings": to_plain(run.domain.settings),
+        **fields_of(run.domain),
     }
     with nullcontext(folder) if (folder / "run.json").exists() else whole_folder(folder) as new:
         run.files.write(new)
@@ -273,12 +276,15 @@ def read_run(
             "run folder (--run-dir) for a new run"
         )
     if isinstance(domain, Domain):
-        return _checked(folder, settings, domain, driver or "")
-    own = settings_in(folder, settings_class(settings.domain), about.get("domain_settings"))
-    check_name(settings.domain, own)
-    made = domain_class(settings.domain)
-    read = made.files.read(made, own, folder)
-    return _checked(folder, settings, read, driver or "")
+        run = _checked(folder, settings, domain, driver or "")
+    else:
+        own = settings_in(folder, settings_class(settings.domain), about.get("domain_settings"))
+        check_name(settings.domain, own)
+        made = domain_class(settings.domain)
+        run = _checked(folder, settings, made.files.read(made, own, folder), driver or "")
+    check_fields(folder, about, run.domain)
+    check_parts(folder, ("start", *run.domain.stages, *run.rounds), settings.seed)
+    return run
 
 
 def settings_in(folder: Path, kind: type[T], data: Any) -> T:
@@ -291,10 +297,8 @@ def settings_in(folder: Path, kind: type[T], data: Any) -> T:
 
 def read_about(folder: Path) -> dict[str, Any]:
     """The content of run.json; RunError if there is no run, or it has another version."""
-    if folder.is_file():
-        raise RunError(f"{str(folder)!r} is no run but a file; give the folder of a run")
     if not (folder / "run.json").is_file():
-        raise RunError(f"{str(folder)!r} is no run (it has no run.json); give the folder of a run")
+        raise RunError(f"{str(folder)!r} {instead_of_run(folder)}")
     return read_versioned(folder / "run.json", FORMAT, VERSION, "a cgtorch run")
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError
-from cgtorch.ground.files import strict_json, writing
+from cgtorch.ground.files import check_name_of, strict_json, writing
 
 try:
     import fcntl
@@ -33,9 +33,11 @@ _held = dict[int, tuple[Path, os.stat_result]]()
 def sole_writer(folder: Path) -> Iterator[None]:
     """A context in which no other process, and nobody else in this one, writes to a run.
 
-    The first rank holds the lock for all. RunError if another has it, the file cannot be made,
-    or the folder goes away meanwhile.
+    The first rank holds the lock for all. RunError if another has it, it or the log cannot be
+    written, or the folder has a name that cannot be written, or goes away meanwhile.
     """
+    check_name_of(folder)
+    _check_log(folder / "log.jsonl")
     failure, file = "", -1
     if ranks.first():
         failure, file = _locked(folder)
@@ -54,6 +56,20 @@ def sole_writer(folder: Path) -> Iterator[None]:
         raise
     finally:
         _release(folder, file)
+
+
+def _check_log(path: Path) -> None:
+    """RunError if a log is there that cannot be written, while the run is still as it was."""
+    with writing(path), suppress(FileNotFoundError):
+        os.close(os.open(path, os.O_WRONLY | os.O_APPEND))
+
+
+def check_unwritten(folder: Path) -> None:
+    """RunError if another process writes to a run; each rank may ask by itself."""
+    failure, file = _locked(folder)
+    _release(folder, file)
+    if failure:
+        raise RunError(failure)
 
 
 def _locked(folder: Path) -> tuple[str, int]:

@@ -1,5 +1,6 @@
 """From what is asked of a run to its result: begin or continue it, and write its files."""
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, fields
@@ -16,6 +17,7 @@ from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.errors import RunError, SettingsError
+from cgtorch.ground.files import check_name_of
 from cgtorch.ground.given import known_options, of_kind, real_number
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.report import ProgressDisplay, TensorBoardWatch
@@ -38,13 +40,14 @@ from cgtorch.runs.stored_run import (
     read_run,
     write_run,
 )
-from cgtorch.runs.writer import sole_writer
+from cgtorch.runs.writer import check_unwritten, sole_writer
 from cgtorch.training.auto import train_until
 from cgtorch.training.context import Training
 from cgtorch.training.device import device_for, device_named
 from cgtorch.training.start import given_data
 from cgtorch.training.train import finished_generations, stages_to_make, train
 
+SOON = 0.5  # s after which one who has begun a run has its lock
 UserWatch: TypeAlias = Callable[[Event], object]
 """Receives every event of a training. If it returns True, the run stops and can be resumed."""
 
@@ -129,8 +132,10 @@ def begun(
 ) -> Iterator[StoredRun]:
     """A new run, or the one in `folder` if it has the same settings or has produced nothing yet.
 
-    In this context no other process writes to it.
+    In this context no other process writes to it. RunError if another does, or the folder has a
+    name that cannot be written or contains other things.
     """
+    check_name_of(folder)
     given = {**to_plain(settings), **to_plain(domain_settings)}
     about = settings.actions, domain or settings.domain, settings.driver or None
     with ExitStack() as writer:
@@ -140,19 +145,33 @@ def begun(
             run = read_run(folder, *about)
         if run is None or ranks.broadcast(only_begun(run) and run.all_settings() != given):
             # On every rank, as they share what the world has to compute.
-            run = planned_run(folder, settings, domain_settings, anew=not new, domain=domain)
+            with _another_told(folder, new):
+                run = planned_run(folder, settings, domain_settings, anew=not new, domain=domain)
             _stage(run, request, {})
             _goal(run, request.goal)
             if settings.data:
                 given_data(run)  # bad files are refused before anything is written
             ranks.wait()  # all have seen the folder before anyone writes
             if ranks.first():
-                write_run(run)
+                with _another_told(folder, new):
+                    write_run(run)
             ranks.wait()
         if new:
             writer.enter_context(sole_writer(folder))
         refuse_others(run, given, "choose another run folder (folder, --run-dir)")
         yield run
+
+
+@contextmanager
+def _another_told(folder: Path, new: bool) -> Iterator[None]:
+    """A context to begin a run, whose failure is told as that of the second one to do so."""
+    try:
+        yield
+    except RunError:
+        if new and (folder / "run.json").is_file():
+            time.sleep(SOON)
+            check_unwritten(folder)
+        raise
 
 
 def resumed(run: StoredRun, given: Mapping[str, Any], overrides: Mapping[str, Any]) -> RunSettings:

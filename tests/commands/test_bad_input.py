@@ -89,7 +89,7 @@ def test_training_with_bad_arguments(
         (["run", "--actions", "Fly"], "was begun without action 'Fly' and cannot use it"),
         (["run", "--skill", "S7"], "no skill 'S7' in run 'run'; give one of S0"),
         (["run", "--skill", "../S0"], "no skill '../S0' in run"),
-        (["run/S0", "--skill", "S0"], "'run/S0' is no run (it has no run.json)"),
+        (["run/S0", "--skill", "S0"], "'run/S0' is no run but a part of the run"),
         (["run/S1"], "'run/S1' is no run and no stage of one"),
         (["run/start"], "'run/start' is no run and no stage of one"),
         (["run/run.json"], "not a skill file"),
@@ -326,7 +326,8 @@ def test_names_in_files_lead_nowhere(shell: Shell, run_folder: Path, tmp_path: P
     path = run_folder / "S0" / "skill.json"
     before = listing(tmp_path)
     path.write_text(json.dumps(json.loads(path.read_text()) | {"name": "../../../secret"}))
-    shell.does(EVALUATE, run_folder, "--count", 1)
+    shell.does(EVALUATE, path, "--count", 1)
+    assert "S0/skill.json' holds skill '../../../secret'" in shell.refuses(EVALUATE, run_folder)
     assert listing(tmp_path) == before
     assert (tmp_path / "secret").read_text() == "text"
 

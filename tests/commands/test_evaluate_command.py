@@ -95,7 +95,7 @@ def test_why_a_skill_of_a_file_fails(shell: Shell, tmp_path: Path) -> None:
     succeeded = evaluate_skill(load_skill(path, cart.actions()), cart, "any", 20, 0).succeeded
     assert 0 < int(succeeded.sum()) < 20
     assert f"{20 - int(succeeded.sum())} of 20 scenarios fail." in (why / "failures.md").read_text()
-    rows = shell.told(EVALUATE, *words)["rows"]
+    rows = shell.told(EVALUATE, *words, "--force")["rows"]
     assert [row["succeeded"] for row in rows] == succeeded.tolist()
     assert [row["failure"] for row in rows] == [None if ok else 1 for ok in succeeded.tolist()]
 
@@ -172,7 +172,7 @@ def test_scenarios_are_those_of_the_run_unless_others_are_named(
 ) -> None:
     run = copied(trained, tmp_path / "run")
     for kind in ("perimeter", "general"):
-        edited(run, {"scenarios": kind})
+        edited(run, {"scenarios": kind}, percept=None)
         assert shell.told(EVALUATE, run, "--count", 2)["scenarios"] == kind
 
 

@@ -158,13 +158,16 @@ def test_a_path_is_told_as_text(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str | bytes
 ) -> None:
     def failed() -> None:
-        raise OSError(errno.EROFS, "Read-only file system", name)
+        with resumable("cgtorch-train --resume runs/one"):
+            raise OSError(errno.EROFS, "Read-only file system", name)
 
     monkeypatch.setattr("sys.argv", ["stopped"])
     with pytest.raises(SystemExit):
         run_command(click.Command("stopped", None, failed))
     line = "stopped: cannot read or write 'runs/one' (Read-only file system); check the path"
-    assert capsys.readouterr().err.startswith(line)
+    said = capsys.readouterr().err
+    assert said.startswith(line)
+    assert said.endswith("; finished work is kept; continue with cgtorch-train --resume runs/one\n")
 
 
 def test_what_is_said_cannot_control_a_terminal(

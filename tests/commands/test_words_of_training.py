@@ -121,6 +121,10 @@ def test_commands_can_be_pasted_whatever_the_folder_is_called(trained: Trained) 
     commands = [line for line in said if "cgtorch-" in line or "tensorboard " in line]
     assert len(commands) > 4
     assert all(" 'my run (1) ü'" in line for line in commands)
+    made = work(replace(made.run, folder=Path("-new")), "S2")
+    said = [*_before(made), *_after(made)]
+    commands = [line for line in said if "cgtorch-" in line or "tensorboard " in line]
+    assert all(" ./-new" in line for line in commands)
 
 
 def test_it_is_said_how_a_run_ended(trained: Trained, monkeypatch: pytest.MonkeyPatch) -> None:

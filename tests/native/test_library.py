@@ -2,6 +2,8 @@
 
 import ctypes
 import os
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,17 @@ import torch
 from quick_compiler import quick_compiler
 
 from cgtorch.evolution import STRATEGY
-from cgtorch.native import agree, available, compiler, constants, function, library, structure
+from cgtorch.ground.errors import CompilerError
+from cgtorch.native import (
+    agree,
+    available,
+    cache,
+    compiler,
+    constants,
+    function,
+    library,
+    structure,
+)
 from cgtorch.simulation.program import FAILURE, SUCCESS, TIMEOUT
 
 pytestmark = pytest.mark.skipif(not available(), reason="there is no C compiler")
@@ -23,6 +35,15 @@ MACHINE = {"centres": None, "weights": None, "bias": None, "scale": 2.0, "m": 8,
 def quick(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A compiler that compiles each source once for all these tests."""
     return quick_compiler(tmp_path_factory.mktemp("compiler"))
+
+
+@pytest.fixture(autouse=True)
+def folder_of_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What would be the folder of this process is the test's."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    cache.folder_of_process.cache_clear()
+    yield
+    cache.folder_of_process.cache_clear()
 
 
 def found_anew(monkeypatch: pytest.MonkeyPatch, **environment: str) -> Any:
@@ -88,21 +109,46 @@ def test_a_cache_that_belongs_to_others_is_not_used(
     own = os.geteuid()
     monkeypatch.setattr("os.geteuid", lambda: own + 1)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert not found_anew(monkeypatch, CC=quick)
+    assert found_anew(monkeypatch, CC=quick)
     assert not list((tmp_path / f"cgtorch-{own + 1}").iterdir())
+
+
+def test_where_no_cache_can_be_written_the_process_has_its_own(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    quick: str,
+) -> None:
+    monkeypatch.setattr(library, "SILENT", 1e9)
+    for _ in range(2):
+        assert found_anew(monkeypatch, CC=quick, XDG_CACHE_HOME=os.devnull)
+    (folder,) = tmp_path.iterdir()
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert [path.suffix for path in folder.iterdir()] == [".so"]
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith("cannot write the cache in '/dev/null': compiling into a temporary fol")
+    cache._remove(folder, os.getpid() + 1)  # as a fork would
+    assert folder.exists()
+    cache._remove(folder, os.getpid())
+    assert not folder.exists()
+
+
+def test_why_it_is_not_compiled_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "_failure", "")
+    assert not found_anew(monkeypatch, CC="false", XDG_CACHE_HOME=str(tmp_path))
+    with pytest.raises(CompilerError, match=r"needs compiled code, and .*/false does not compile"):
+        library.required(torch.float32)
 
 
 @pytest.mark.parametrize(
     "environment",
-    [{"CGTORCH_NATIVE": "0"}, {"CC": "no-such-compiler"}, {"CC": "false"}, {"XDG_CACHE_HOME": ""}],
+    [{"CGTORCH_NATIVE": "0"}, {"CC": "no-such-compiler"}, {"CC": "false"}],
     ids=str,
 )
-def test_without_a_compiler_or_a_cache_nothing_is_found_and_that_is_no_error(
+def test_without_a_compiler_nothing_is_found_and_that_is_no_error(
     environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    place = tmp_path / "file" if "XDG_CACHE_HOME" in environment else tmp_path
-    (tmp_path / "file").write_text("in the way")
-    assert not found_anew(monkeypatch, **(environment | {"XDG_CACHE_HOME": str(place)}))
+    assert not found_anew(monkeypatch, **(environment | {"XDG_CACHE_HOME": str(tmp_path)}))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -125,7 +171,7 @@ def test_functions_structures_and_constants_are_those_of_the_sources(dtype: torc
     ],
 )
 def test_a_structure_of_another_size_is_refused(field: str, instead: str, real: Any) -> None:
-    compiled = ctypes.CDLL(str(library._kept("double")))
+    compiled = library._loaded("double")
     assert field in SOURCES
     library.interface_of(compiled, SOURCES, ctypes.c_double)
     with pytest.raises(ImportError, match=r"structure \w+ of the compiled library has \d+ bytes"):
@@ -183,7 +229,7 @@ def test_of_a_wheel_the_fastest_library_is_taken_that_this_cpu_can_run(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    own = library._kept("double")
+    own = Path(library._loaded("double")._name)
     assert own is not None
     for target in there:
         (tmp_path / compiler.wheel_file_name("double", target)).write_bytes(own.read_bytes())

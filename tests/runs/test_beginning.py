@@ -118,9 +118,10 @@ def test_a_run_does_not_replace_what_is_there(
     full = tmp_path / "full"
     full.mkdir()
     (full / "other").touch()
-    for place in (tmp_path / "file", full):
-        with pytest.raises(RunError, match="is not empty and holds no run; choose another folder"):
-            planned_run(place, SMALL)
+    with pytest.raises(RunError, match="is no run but a file; choose another"):
+        planned_run(tmp_path / "file", SMALL)
+    with pytest.raises(RunError, match="is not empty and holds no run; choose another folder"):
+        planned_run(full, SMALL)
     planned_run(full, SMALL, anew=True)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(RunError, match="a run cannot replace the current folder"):

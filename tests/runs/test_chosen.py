@@ -1,5 +1,6 @@
 """What a path on a command line stands for: a skill, and the data of a run."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -97,6 +98,8 @@ def test_a_stage_after_one_that_is_missing_does_not_count(trained: Trained, tmp_
     assert read_run(copied(trained, tmp_path / "first", ("S0",))).stages == ("S0",)
     assert read_run(copied(trained, tmp_path / "second", ("S1",))).stages == ()
     for name in ("auto-1", "auto-2", "auto-4"):
-        shutil.copytree(trained.folder / "S0", tmp_path / "both" / name)
+        folder = shutil.copytree(trained.folder / "S0", tmp_path / "both" / name)
+        skill = json.loads((folder / "skill.json").read_text())
+        (folder / "skill.json").write_text(json.dumps({**skill, "name": name}))
     assert read_run(tmp_path / "both").stages == ("S0", "S1", "auto-1", "auto-2")
     assert read_run(tmp_path / "both").rounds == ("auto-1", "auto-2")

@@ -162,7 +162,9 @@ def test_percepts_that_are_not_those_of_w_and_m(
     raw = path.read_bytes()
     try:
         save_tensors(path, {"percepts": change(load_tensors(path, {"percepts"})["percepts"])}, {})
-        with pytest.raises(RunError, match="are not those of W and M; restore them"):
+        with pytest.raises(
+            RunError, match=r"in .*seen.safetensors' are .* of shape .*, and those of W and M are "
+        ):
             load_progress(run, folder / "S0")
     finally:
         path.write_bytes(raw)

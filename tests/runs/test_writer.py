@@ -117,6 +117,21 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
         enter(tmp_path / "none")
 
 
+def test_a_folder_whose_name_is_no_text_is_refused(tmp_path: Path) -> None:
+    folder = Path(os.fsdecode(bytes(tmp_path) + b"/M\xfcller"))
+    folder.mkdir()
+    with pytest.raises(RunError, match=r"folder '.*ller' is no valid UTF-8; rename it, or choose"):
+        enter(folder)
+    assert not list(folder.iterdir())
+
+
+def test_a_log_that_cannot_be_written_is_told_before_anything_is(tmp_path: Path) -> None:
+    (tmp_path / "log.jsonl").mkdir()
+    with pytest.raises(RunError, match=r"cannot write '.*log.jsonl' \(Is a directory\)"):
+        enter(tmp_path)
+    assert not (tmp_path / WRITER).exists()
+
+
 FAILURES = [RunError("cannot write"), FileNotFoundError("gone"), ValueError("odd")]
 
 

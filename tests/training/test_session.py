@@ -1,6 +1,8 @@
 """What is asked of a training, and what a run that goes on tells of its changes."""
 
 import json
+import os
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -35,8 +37,9 @@ from cgtorch.report.messages import message_of
 from cgtorch.runs.journal import FileJournal, TakenOver, goes_on_to, remember_goal
 from cgtorch.runs.settings import Goal, RunSettings
 from cgtorch.runs.stored_run import AUTO, StoredRun, read_about
-from cgtorch.runs.writer import WRITER
+from cgtorch.runs.writer import WRITER, sole_writer
 from cgtorch.tabletop.settings import TabletopSettings
+from cgtorch.training import session
 from cgtorch.training import train as module
 from cgtorch.training.session import (
     TrainingRequest,
@@ -196,6 +199,33 @@ def test_a_run_that_has_produced_nothing_takes_other_settings(tmp_path: Path) ->
         pass
     assert read_about(folder)["settings"]["population"] == 40
     assert not (folder / WRITER).exists()
+
+
+def test_the_second_to_begin_a_run_is_told_who_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings, folder = RunSettings(domain="examples.cart:Cart"), tmp_path / "run"
+    plan = session.planned_run
+    monkeypatch.setattr(session, "SOON", 0)
+    with ExitStack() as first:
+
+        def second(*about: Any, **how: Any) -> StoredRun:
+            create_run(folder, settings)
+            first.enter_context(sole_writer(folder))
+            return plan(*about, **how)
+
+        monkeypatch.setattr(session, "planned_run", second)
+        asked = folder, settings, DomainSettings(), TrainingRequest()
+        with pytest.raises(RunError, match="is written by process"), begun(*asked):
+            pass
+
+
+def test_a_run_whose_name_is_no_text_is_not_begun(tmp_path: Path) -> None:
+    folder = Path(os.fsdecode(bytes(tmp_path) + b"/M\xfcller"))
+    asked = folder, RunSettings(domain="examples.cart:Cart"), DomainSettings(), TrainingRequest()
+    with pytest.raises(RunError, match="is no valid UTF-8; rename"), begun(*asked):
+        pass
+    assert not folder.exists()
 
 
 @pytest.mark.parametrize(
