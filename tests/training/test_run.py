@@ -83,7 +83,7 @@ def test_a_report_replaces_no_file_unasked_and_never_one_of_the_run(
         whole.report(page)
     assert page.read_text() == "precious"
     for part in (log, whole.folder / "auto-1" / "skill.json"):
-        with pytest.raises(RunError, match=r"is a part of .*, which is read; choose another path"):
+        with pytest.raises(RunError, match=r"is a part of the run .*; choose another path"):
             whole.report(part, force=True)
     with pytest.raises(RunError, match=r"'.' is a folder; choose another path"):
         whole.report(".")
