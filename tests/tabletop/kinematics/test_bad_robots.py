@@ -8,7 +8,7 @@ import pytest
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_description, load_robot, load_urdf, robots_folder
-from cgtorch.tabletop.kinematics.urdf import at_rest, one_line
+from cgtorch.tabletop.kinematics.urdf import at_rest, one_line, parsed
 
 PR2 = robots_folder() / "pr2"
 TEXT = (PR2 / "pr2.urdf").read_text()
@@ -327,3 +327,10 @@ def test_a_joint_rests_as_near_to_nought_as_it_can(tmp_path, limits, rest):
     assert at_rest(turning.joint("j")) == 0.0
     free = load_urdf(robot(tmp_path, joined("floating", "")))
     assert at_rest(free.joint("j")) == 0.0
+
+
+def test_only_what_may_be_deep_is_read_if_it_is() -> None:
+    deep = b"<a>" * 300 + b"</a>" * 300
+    with pytest.raises(RobotError, match="file is not well-formed XML"):
+        parsed(deep, "file")
+    assert parsed(deep, "file", huge=True).tag == "a"
