@@ -74,8 +74,8 @@ def hostile_run(target: Path) -> Path:
     change["changed"] = {one: [one, one], "population": [one, 600], "torch": [one]}
     write_log(folder, [*read_log(folder), change])
     text = (folder / "S0" / "skill.json").read_text()
-    skill = json.loads(text.replace('"S0.1', json.dumps(one)[:-1]))
-    rewrite(folder / "S0" / "skill.json", skill | {"name": one})
+    # A run with a skill of another name is refused.
+    rewrite(folder / "S0" / "skill.json", json.loads(text.replace('"S0.1', json.dumps(one)[:-1])))
     return folder
 
 
