@@ -205,8 +205,11 @@ def only_begun(run: StoredRun) -> bool:
     return all(name in (*known, *run.files.names) or ".tfevents." in name for name in names)
 
 
-def write_run(run: StoredRun) -> None:
-    """Write the folder of a planned run; RunError if it cannot be written."""
+def write_run(run: StoredRun, anew: bool = False) -> None:
+    """Write the folder of a planned run; RunError if it cannot be written.
+
+    Without `anew`, that is also so if another process has begun a run there since it was planned.
+    """
     folder = run.folder
     with writing(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -219,7 +222,7 @@ def write_run(run: StoredRun) -> None:
         "domain_settings": to_plain(run.domain.settings),
         **fields_of(run.domain),
     }
-    with nullcontext(folder) if (folder / "run.json").exists() else whole_folder(folder) as new:
+    with nullcontext(folder) if anew else whole_folder(folder) as new:
         run.files.write(new)
         write_json(new / "run.json", about)
 

@@ -154,7 +154,7 @@ def begun(
             ranks.wait()  # all have seen the folder before anyone writes
             if ranks.first():
                 with _another_told(folder, new):
-                    write_run(run)
+                    write_run(run, anew=not new)
             ranks.wait()
         if new:
             writer.enter_context(sole_writer(folder))

@@ -135,16 +135,32 @@ def test_a_run_that_has_produced_nothing_may_begin_again(tmp_path: Path) -> None
     (folder / "events.out.tfevents.1").touch()
     (folder / WRITER).touch()
     assert only_begun(run)
-    write_run(planned_run(folder, replace(settings, seed=5), anew=True, domain=cart))
+    write_run(planned_run(folder, replace(settings, seed=5), anew=True, domain=cart), anew=True)
     assert read_run(folder, domain=cart).settings.seed == 5
     (folder / "log.jsonl").touch()
     assert not only_begun(run)
 
 
+def test_of_two_that_begin_a_run_at_once_the_second_changes_nothing(tmp_path: Path) -> None:
+    cart, folder = RewardedCart(DomainSettings()), tmp_path / "run"
+    one, other = (
+        planned_run(
+            folder,
+            RunSettings(domain="rewarded_cart:RewardedCart", models="none", seed=seed),
+            domain=cart,
+        )
+        for seed in (1, 2)
+    )
+    write_run(one)
+    with pytest.raises(RunError, match=r"cannot write .*run'"):
+        write_run(other)
+    assert read_run(folder, domain=cart).settings.seed == 1
+
+
 def test_a_tabletop_that_has_produced_nothing_may_begin_with_another_robot(tmp_path: Path) -> None:
     write_run(run := planned_run(folder := tmp_path / "run", SMALL))
     assert only_begun(run)
-    write_run(planned_run(folder, SMALL, TabletopSettings(robot="fetch"), anew=True))
+    write_run(planned_run(folder, SMALL, TabletopSettings(robot="fetch"), anew=True), anew=True)
     assert "fetch" in (folder / "robot" / "robot.urdf").read_text().lower()
     (folder / "start").mkdir()
     assert not only_begun(run)
