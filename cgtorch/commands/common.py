@@ -72,7 +72,7 @@ def run_command(command: click.Command) -> None:
             # ctypes raises an error of its own for a Ctrl-C in its midst.
             if isinstance(e, ctypes.ArgumentError) and KeyboardInterrupt.__name__ not in str(e):
                 raise
-            # click wraps errors.
+            # click wraps errors, so notes may be those of the cause.
             notes = (getattr(each, "__notes__", ()) for each in (e, e.__cause__))
             _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
         except OSError as e:

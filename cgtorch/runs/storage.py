@@ -263,10 +263,8 @@ def load_progress(run: StoredRun, folder: Path) -> Progress[Any]:
     if (folder / "skill.json").is_file():
         progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
     if len(solved) or len(missed):
-        path, shape = (
-            folder / "seen.safetensors",
-            (len(solved) + len(missed), len(run.domain.percept)),
-        )
+        path = folder / "seen.safetensors"
+        shape = len(solved) + len(missed), len(run.domain.percept)
         seen = load_tensors(path, {"percepts"})["percepts"]
         if (seen.shape, seen.dtype) != (shape, torch.float32) or not seen.isfinite().all():
             raise RunError(
