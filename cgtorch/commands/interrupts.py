@@ -4,11 +4,10 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from types import FrameType
-from typing import NoReturn
 
 SOON = 0.5  # s between two looks at whether an interrupt is being followed
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -22,7 +21,7 @@ class _Interrupts:
     """
 
     def __init__(self) -> None:
-        self.pending, self._over = False, threading.Event()
+        self.pending, self._over = False, _Over()
 
     @contextmanager
     def heard(self) -> Iterator[None]:
@@ -30,7 +29,7 @@ class _Interrupts:
 
         Each raises KeyboardInterrupt. What is ignored before, as by nohup, stays ignored.
         """
-        self.pending, self._over = False, threading.Event()
+        self.pending, self._over = False, _Over()
         numbers = [getattr(signal, each) for each in NAMES if hasattr(signal, each)]
         before = {each: signal.getsignal(each) for each in numbers}
         for each, handler in before.items():
@@ -39,7 +38,7 @@ class _Interrupts:
         try:
             yield
         finally:
-            self._over.set()
+            self._over.come()
             for each, handler in before.items():
                 signal.signal(each, handler)
 
@@ -49,14 +48,19 @@ class _Interrupts:
         try:
             yield
         except KeyboardInterrupt:
-            self.pending = False
-            self._over.set()
+            self._over.come()
+            self.pending, self._over = False, _Over()
 
-    def _raise(self, process: int, number: int, frame: FrameType | None) -> NoReturn:
-        """Raise KeyboardInterrupt; end a process without a word that was forked from this one."""
+    def _raise(self, process: int, number: int, frame: FrameType | None) -> None:
+        """Raise KeyboardInterrupt if there is something to interrupt.
+
+        A process that was forked from this one ends without a word.
+        """
         if os.getpid() != process:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
+        if self._over.is_set():
+            return
         if not self.pending:
             self.pending = True
             about = number, threading.main_thread().ident or 0, self._over
@@ -64,14 +68,34 @@ class _Interrupts:
         raise KeyboardInterrupt
 
 
-def _insist(number: int, main: int, over: threading.Event) -> None:
+class _Over(threading.Event):
+    """Set when an interrupt has been followed: no signal is sent after that."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._sending = threading.Lock()
+
+    def come(self) -> None:
+        """Set this, between two signals; one that is just coming interrupts nothing."""
+        while not self.is_set():
+            with suppress(KeyboardInterrupt), self._sending:
+                self.set()
+
+    def unless(self, send: Callable[[], None]) -> None:
+        """Send a signal unless this is set, which it is not before that was sent."""
+        with self._sending:
+            if not self.is_set():
+                send()
+
+
+def _insist(number: int, main: int, over: _Over) -> None:
     """Send a signal again as long as the main thread does not follow it, such as by clean-up.
 
     Whatever is called back drops exceptions: where objects end, in imports, and in compiled code.
     """
     while not over.wait(SOON):
         if not _interrupted(main):
-            signal.pthread_kill(main, number)
+            over.unless(partial(signal.pthread_kill, main, number))
 
 
 def _interrupted(thread: int) -> bool:

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 import time
 import weakref
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 import click
 import pytest
 
+from cgtorch.commands import interrupts as module
 from cgtorch.commands.common import run_command
 from cgtorch.commands.interrupts import interrupts
 
@@ -114,3 +116,26 @@ def test_signals_mean_after_a_command_what_they_meant_before() -> None:
     before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
     ended(interrupt)
     assert before == (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT))
+
+
+def test_no_signal_comes_after_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    looking, looked, came = threading.Event(), threading.Event(), list[int]()
+
+    def look(thread: int) -> bool:
+        looking.set()
+        return not looked.wait(LONG)
+
+    def work() -> None:
+        with suppress(KeyboardInterrupt):
+            interrupt()
+        looking.wait(LONG)
+
+    monkeypatch.setattr(module, "_interrupted", look)
+    before = signal.signal(signal.SIGTERM, lambda number, frame: came.append(number))
+    try:
+        assert ended(work)[0] == 1
+        looked.set()
+        time.sleep(0.1)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert came == []
