@@ -45,3 +45,12 @@ def check_imagined(settings: RunSettings, domain: Domain[Any], repeats: bool) ->
             "evolve in the world itself: models 'none' (--models none)"
         )
     reward_models_of(domain)  # whose limits are checked
+
+
+def check_played(settings: RunSettings, domain: Domain[Any], repeats: bool) -> None:
+    """SettingsError if a run without a Γ with rewards was given what only that would use."""
+    if reward := getattr(domain.settings, "reward", ""):
+        raise SettingsError(
+            f"reward is {reward!r:.60}, which only learned models use, and this run learns none; "
+            "add models 'learned' (--models learned), or leave reward out"
+        )

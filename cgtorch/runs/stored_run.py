@@ -50,7 +50,7 @@ from cgtorch.ground.errors import ActionError, DomainError, RunError, SettingsEr
 from cgtorch.ground.files import JsonLines, read_versioned, whole_folder, write_json, writing
 from cgtorch.native.processes import counted
 from cgtorch.runs.belonging import check_fields, check_parts, fields_of, instead_of_run
-from cgtorch.runs.imagines import check_imagined, models_of, reward_models_of
+from cgtorch.runs.imagines import check_imagined, check_played, models_of, reward_models_of
 from cgtorch.runs.log import LOG, Row, history_of, read_log, results_in
 from cgtorch.runs.settings import NAMES, RunSettings
 from cgtorch.runs.writer import WRITER
@@ -340,8 +340,8 @@ def _checked(folder: Path, settings: RunSettings, domain: Domain[Any], driver: s
             check_sizes(name, action, *sizes)
             check_action(name, action, world)
     run = StoredRun(folder, settings, domain, actions, repeats)
-    if run.imagines:
-        check_imagined(settings, domain, repeats)
+    check = check_imagined if run.imagines else check_played
+    check(settings, domain, repeats)
     return run
 
 

@@ -21,7 +21,7 @@ from cgtorch.graphs.skill import A_SKILL
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import write_bytes
-from cgtorch.ground.given import a_function, given_path, known_options, of_kind
+from cgtorch.ground.given import a_function, given_path, known_options, of_kind, truth
 from cgtorch.report import ProgressDisplay
 from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import read_log
@@ -128,6 +128,7 @@ class Run(StoredRun):
         `overrides` are settings to continue with, or `target`, `minutes`, `rounds`, `budget`,
         `device` and `checkpoint_seconds` as for `train`.
         """
+        quiet = truth(quiet, "quiet")
         if watch is not None:
             a_function(watch, "watch")
         request, rest = TrainingRequest.taken_from({"stage": stage, **overrides})
@@ -181,6 +182,7 @@ def train(
     Raises:
         CgtorchError: Something given cannot work; the message says what and what to do.
     """
+    quiet = truth(quiet, "quiet")
     spec, made = spec_of(domain)
     kind = settings_class(spec) if made is None else type(made.settings)
     returns = "target_return" in {f.name for f in fields(kind)} and (

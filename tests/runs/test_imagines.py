@@ -7,8 +7,10 @@ import pytest
 from rewarded_cart import CartModels, RewardedCart
 
 from cgtorch import DomainSettings, Models, RewardedModels
+from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.domains.registry import make_domain
 from cgtorch.ground.errors import SettingsError
-from cgtorch.runs.imagines import check_imagined, models_of, reward_models_of
+from cgtorch.runs.imagines import check_imagined, check_played, models_of, reward_models_of
 from cgtorch.runs.settings import RunSettings
 
 
@@ -61,3 +63,12 @@ def test_what_a_model_of_rewards_does_not_go_with_is_named(
 ) -> None:
     with pytest.raises(SettingsError, match=f"is not learned with {says}; leave that out"):
         check_imagined(RunSettings(**given), cart(CartModels), repeats)
+
+
+def test_rewards_for_models_are_refused_where_none_are_learned() -> None:
+    check_played(RunSettings(), cart(None), True)
+    domain = make_domain(
+        "gymnasium:Pendulum-v1", GymnasiumSettings(target_return=-200.0, reward="own:reward")
+    )
+    with pytest.raises(SettingsError, match=r"reward is 'own:reward', which only learned models"):
+        check_played(RunSettings(), domain, True)

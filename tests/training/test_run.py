@@ -215,6 +215,7 @@ def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:
         ),
         ({"device": 5}, SettingsError, "device is 5; give auto, cpu or cuda"),
         ({"watch": 3}, SettingsError, "watch is 3; give a function"),
+        ({"quiet": "no"}, SettingsError, "quiet is 'no'; give True or False"),
         ({"folder": 5}, SettingsError, "folder is 5; give a path as a text or a pathlib.Path"),
         ({"folder": b"x"}, SettingsError, "folder is b'x'; give a path"),
     ],
