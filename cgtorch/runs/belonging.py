@@ -1,11 +1,12 @@
 """Whether a run, its parts and its domain belong together, as far as its files tell.
 
-A skill file has the name of its stage, other files have the seed of the run in their notes, and
-run.json names the numbers of percepts and controls under "percept" and "control". Of these, the
-seed and the names may be missing, as in runs of older versions.
+A skill file has the name of its stage, or in a round that accepted none that of an earlier one.
+Other files have the seed of the run in their notes, and run.json names the numbers of percepts and
+controls under "percept" and "control". Of these, the seed and the names may be missing, as in runs
+of older versions.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -53,14 +54,16 @@ def check_fields(run: Path, about: Mapping[str, Any], domain: Domain[Any]) -> No
         )
 
 
-def check_parts(run: Path, stages: Iterable[str], seed: int) -> None:
+def check_parts(run: Path, stages: Sequence[str], rounds: Sequence[str], seed: int) -> None:
     """RunError if a stage of a run holds another one's skill, or files of a run of another seed.
 
-    Files that cannot be read are left to those who need them.
+    A round that accepted no skill holds one of before. Files that cannot be read are left to those
+    who need them.
     """
-    for stage in stages:
-        skill = run / stage / "skill.json"
-        if (name := _skill_name(skill)) not in (None, stage):
+    every = [*stages, *rounds]
+    for place, stage in enumerate(every):
+        skill, own = run / stage / "skill.json", every[: place + 1] if stage in rounds else [stage]
+        if (name := _skill_name(skill)) not in (None, *own):
             raise RunError(
                 f"{str(skill)!r} holds skill {name!r:.80}, not {stage!r}: its folder was moved or "
                 "mixed with another; restore it"

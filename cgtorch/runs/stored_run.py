@@ -286,7 +286,7 @@ def read_run(
         made = domain_class(settings.domain)
         run = _checked(folder, settings, made.files.read(made, own, folder), driver or "")
     check_fields(folder, about, run.domain)
-    check_parts(folder, ("start", *run.domain.stages, *run.rounds), settings.seed)
+    check_parts(folder, ("start", *run.domain.stages), run.rounds, settings.seed)
     return run
 
 

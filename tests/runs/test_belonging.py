@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from cgtorch.graphs import load_skill
 from cgtorch.ground.errors import ActionError, DomainError, RunError
 from cgtorch.ground.fields import Field
 from cgtorch.ground.files import head_notes
+from cgtorch.runs.belonging import check_parts
 from cgtorch.runs.chosen import lone_skill
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.storage import load_dataset, save_tensors
@@ -37,6 +39,17 @@ def test_one_skill_file_of_another_stage_is_refused(trained: Trained, tmp_path: 
     with pytest.raises(RunError, match=r"/S1/skill.json' holds skill 'S0', not 'S1'.*; restore it"):
         read_run(run)
     assert lone_skill(run / "S1" / "skill.json")[2].name == "S0"
+
+
+def test_a_round_may_hold_the_skill_of_an_earlier_one(trained: Trained, tmp_path: Path) -> None:
+    run = copied(trained, tmp_path / "run")
+    for name in ("auto-1", "auto-2"):
+        shutil.copytree(run / "S1", run / name)
+    check = partial(check_parts, run, ("S0", "S1"), ("auto-1", "auto-2"), SMALL.seed)
+    check()
+    shutil.copy(run / "S1" / "skill.json", run / "S0" / "skill.json")
+    with pytest.raises(RunError, match=r"/S0/skill.json' holds skill 'S1', not 'S0'"):
+        check()
 
 
 @pytest.mark.parametrize("file", ["start/data", "S0/aside", "S1/seen"])
