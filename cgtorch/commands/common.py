@@ -93,16 +93,15 @@ def run_program(command: click.Command) -> None:
 
     `run_command` does the same where the process goes on.
     """
-    code: Any = 1
-    tell_in_lines(command.name or "cgtorch")
+    name = command.name or "cgtorch"
+    tell_in_lines(name)
     try:
         run_command(command)
-        code = 0
-    except SystemExit as e:
-        code = e.code
+    except BaseException as e:
+        code: Any = e.code if isinstance(e, SystemExit) else 1
+        end_in_time(name, code).set()  # with the error, objects of the user's end, perhaps never
         raise
-    finally:
-        end_in_time(command.name or "cgtorch", code)
+    end_in_time(name, 0)
 
 
 def _call(command: click.Command, name: str) -> None:

@@ -19,14 +19,11 @@ from cgtorch.native.rank_processes import in_ranks
 from cgtorch.report import ProgressDisplay, final_table
 from cgtorch.report.messages import asked_of
 from cgtorch.runs.chosen import folder_of_last, last_skill, own_code, resuming
-from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun
-from cgtorch.training.advice import about_search
-from cgtorch.training.after import advice_after
+from cgtorch.training.after import advice_after, unfinished
 from cgtorch.training.auto import reached
 from cgtorch.training.context import evolution_settings
-from cgtorch.training.searched import searched_of
 from cgtorch.training.session import (
     TrainingRequest,
     Work,
@@ -151,12 +148,7 @@ def _end(work: Work, results: list[dict[str, Any]]) -> str:
     if reached(work.goal, rounds):
         return f"has reached its goal of {work.goal.target:.4g}"
     if not rounds:
-        searched = searched_of(read_log(work.run.folder), "")
-        if searched is not None and searched.generations and not searched.solving:
-            return f"has no skill that solves anything. {' '.join(about_search(searched))}"
-        kept = folder_of_last(work.run)
-        best = "; the best skill so far is kept" if kept else ""
-        return f"has not finished its first round in time{best}; continue with --resume"
+        return unfinished(work.run)
     return f"has not reached its goal of {work.goal.target:.4g}; {advice_after(work.run)}"
 
 

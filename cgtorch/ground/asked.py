@@ -59,6 +59,8 @@ class Purse:
         until: When no further action may begin, on the clock of `time.monotonic`.
         settled: Whether a search has its result, so that nothing is left to break off.
         telling: Whether something is being told, which is not broken off.
+        unreturned: What had not returned for long when a step was broken off, such as "step 7 of
+            environment 'own:Cart-v0' has not returned for 61 s"; "" if nothing.
     """
 
     limits: Mapping[str, float] = field(default_factory=dict)
@@ -67,6 +69,7 @@ class Purse:
     until: float = inf
     settled: bool = False
     telling: bool = False
+    unreturned: str = ""
 
     def late(self, grace: float = 0.0) -> bool:
         """Whether the time has been over for so many seconds, by the clock of the first rank."""

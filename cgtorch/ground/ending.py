@@ -14,11 +14,12 @@ at_end: Callable[[Callable[[], object]], object] = getattr(
 """Has a function called at the end, before threads that an environment has started are joined."""
 
 
-def end_in_time(name: str, code: int, patience: float = PATIENCE) -> None:
+def end_in_time(name: str, code: int, patience: float = PATIENCE) -> threading.Event:
     """Have this process end with that code when it ends, also if code of the user's goes on.
 
     Python waits for threads and child processes that are no daemons, and for what has been
-    registered for its end, perhaps for ever. Until the process ends, nothing happens.
+    registered for its end, perhaps for ever. Until the process ends, nothing happens, or until the
+    returned event is set, where it is sure that it ends.
     """
     ending = threading.Event()
 
@@ -36,3 +37,4 @@ def end_in_time(name: str, code: int, patience: float = PATIENCE) -> None:
     # It begins now, as no thread can begin when the interpreter has begun to end.
     threading.Thread(target=watch, daemon=True).start()
     at_end(ending.set)
+    return ending

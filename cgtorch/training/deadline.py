@@ -8,11 +8,13 @@ from contextlib import contextmanager
 from math import inf
 from types import FrameType
 
+from cgtorch.domains.surroundings import surroundings
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import LATE, BudgetSpentError, Purse
 from cgtorch.native.rank_processes import end_others, others_started
 
 GRACE = 2.0  # s, in which a step ends by itself
+LONG = 10.0  # s, more than calls of the user's code take as a rule
 SOON = 0.2  # s after which it rings again, where something was being told
 
 
@@ -42,6 +44,7 @@ def deadline(purse: Purse) -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, SOON)
             return
         end_others()
+        purse.unreturned = surroundings.unreturned(LONG)
         raise BudgetSpentError(LATE)
 
     before = signal.signal(signal.SIGALRM, ring)

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import torch
 from torch import Generator
 
-from cgtorch.domains.domain import Domain, Timed
+from cgtorch.domains.domain import Domain
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import BudgetSpentError
 from cgtorch.ground.errors import CgtorchError, RunError, SettingsError
@@ -35,6 +35,7 @@ from cgtorch.runs.log import history_of, read_log
 from cgtorch.runs.storage import load_progress, save_progress
 from cgtorch.runs.stored_run import AUTO, StoredRun
 from cgtorch.training.advice import about_search
+from cgtorch.training.after import why_late
 from cgtorch.training.context import Training, for_means
 from cgtorch.training.deadline import deadline
 from cgtorch.training.evaluate import Score, evaluate_skill
@@ -235,12 +236,8 @@ def _improved(
 def _not_improved(training: Training, missing: str) -> NotImprovedError:
     """The error of stages without a skill, which says what was too little."""
     if training.purse.late():
-        domain = training.run.domain
-        pace = f" ({domain.pace()})" if isinstance(domain, Timed) and domain.pace() else ""
-        return NotImprovedError(
-            f"the time was over before stage {missing} had a skill{pace}; give more (minutes, "
-            "--minutes)"
-        )
+        why = why_late(training.run.domain, training.purse)
+        return NotImprovedError(f"the time was over before stage {missing} had a skill{why}")
     said = f"stage {missing} found no skill that keeps W and solves more"
     searched = searched_of(read_log(training.run.folder), missing)
     if searched is not None and searched.generations and not searched.solving:

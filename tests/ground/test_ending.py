@@ -8,14 +8,31 @@ import pytest
 STUCK = {
     "thread": "threading.Thread(target=time.sleep, args=(60,)).start()",
     "close": "at_end(lambda: time.sleep(60))",
+    "del": """
+class Stuck:
+    def __del__(self): time.sleep(60)
+def work():
+    stuck = Stuck()
+    sys.exit(3)
+""",
 }
 
 
-def ended(work: str, patience: float) -> "subprocess.CompletedProcess[str]":
+LEFT = """
+try: work()
+except SystemExit:
+    ending.set()
+    raise
+"""
+
+
+def ended(
+    work: str, patience: float, end: str = "sys.exit(3)"
+) -> "subprocess.CompletedProcess[str]":
     program = (
         "import sys, threading, time\n"
         "from cgtorch.ground.ending import at_end, end_in_time\n"
-        f"{work}\nprint('done', end='')\nend_in_time('made', 3, {patience})\nsys.exit(3)"
+        f"{work}\nprint('done', end='')\nending = end_in_time('made', 3, {patience})\n{end}"
     )
     how = {"capture_output": True, "text": True, "timeout": 30, "check": False}
     return subprocess.run([sys.executable, "-c", program], **how)  # type: ignore[call-overload,no-any-return]
@@ -23,7 +40,7 @@ def ended(work: str, patience: float) -> "subprocess.CompletedProcess[str]":
 
 @pytest.mark.parametrize("what", STUCK)
 def test_a_process_ends_whatever_goes_on(what: str) -> None:
-    found = ended(STUCK[what], 0.2)
+    found = ended(STUCK[what], 0.2, "sys.exit(3)" if what != "del" else LEFT)
     assert (found.returncode, found.stdout) == (3, "done")
     assert found.stderr.startswith("made: a thread, a process or a close() ")
     assert found.stderr.count("\n") == 1

@@ -9,10 +9,11 @@ from told_by_runs import generation_rows
 from trained import Trained
 
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
+from cgtorch.ground.asked import Purse
 from cgtorch.runs.settings import RunSettings
 from cgtorch.runs.stored_run import StoredRun, planned_run, read_run
 from cgtorch.training import after
-from cgtorch.training.after import USUAL, advice_after, only_return
+from cgtorch.training.after import USUAL, advice_after, only_return, unfinished, why_late
 
 pytest.importorskip("gymnasium")
 
@@ -67,3 +68,33 @@ def test_episodes_that_do_not_end_are_told(tmp_path: Path, monkeypatch: pytest.M
     )
     monkeypatch.setattr(episodes, "_unended", 999)
     assert advice_after(run) == USUAL
+
+
+def test_why_there_is_no_skill_at_the_end_of_the_time_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    domain = planned(tmp_path).domain
+    assert why_late(domain, Purse()).endswith("; give more (minutes, --minutes)")
+    hung = Purse(unreturned="step 7 of environment 'a:B-v0' has not returned for 61 s")
+    assert why_late(domain, hung) == f", as {hung.unreturned}; mend that"
+    monkeypatch.setattr(domain.pictures, "advice", lambda self: "an episode had not ended")
+    assert why_late(domain, Purse()) == ", as an episode had not ended"
+
+
+@pytest.mark.parametrize(
+    ("rewards", "solved", "says"),
+    [
+        (False, 0, "; no individual of 3 generations has succeeded, so look whether success is"),
+        (False, 1, "has not finished its first round in time; continue"),
+        (True, 0, "has not finished its first round in time; continue"),
+    ],
+)
+def test_a_search_in_which_nothing_succeeds_is_told(
+    rewards: bool, solved: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = [
+        row | {"solved_w": 0, "solved_m": solved} for row in generation_rows(3, 9, [0.0, 0.1, 0.2])
+    ]
+    monkeypatch.setattr(after, "read_log", lambda folder: begun)
+    monkeypatch.setattr(after, "rewarded", lambda domain: rewards)
+    assert says in unfinished(planned(tmp_path))

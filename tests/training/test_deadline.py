@@ -6,19 +6,24 @@ import time
 
 import pytest
 
+from cgtorch.domains.surroundings import surroundings
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.asked import BudgetSpentError, Purse
 from cgtorch.native.rank_processes import in_ranks, others_started
+from cgtorch.training import deadline as module
 from cgtorch.training.deadline import GRACE, deadline
 
 
-def test_a_long_step_ends_soon_after_the_time_is_over() -> None:
+@pytest.mark.parametrize(("long", "says"), [(1.0, "step 7 has not returned for 2 s"), (9.0, "")])
+def test_a_long_step_ends_soon_after_the_time_is_over(
+    long: float, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "LONG", long)
     before, began = signal.getsignal(signal.SIGALRM), time.monotonic()
-    with (
-        pytest.raises(BudgetSpentError, match="the time is over"),
-        deadline(Purse(until=began - 1.0)),
-    ):
-        time.sleep(60)
+    purse = Purse(until=began - 1.0)
+    with pytest.raises(BudgetSpentError, match="the time is over"), deadline(purse):
+        surroundings.call(lambda: time.sleep(60), lambda: "step 7")
+    assert purse.unreturned == says
     assert GRACE - 0.1 < time.monotonic() - began < GRACE + 40
     assert signal.getsignal(signal.SIGALRM) is before
 
