@@ -76,6 +76,8 @@ def run_command(command: click.Command) -> None:
             notes = (getattr(each, "__notes__", ()) for each in (e, e.__cause__))
             _end(name, "; ".join(["interrupted", *itertools.chain(*notes)]), 1)
         except OSError as e:
+            if e.errno is None:  # code has raised it, and not the system
+                _end_if_known(name, e)
             name_of = os.fsdecode(e.filename) if isinstance(e.filename, bytes) else e.filename
             where = repr(str(name_of)[:200]) if name_of else "its output or a file"
             reason = e.strerror or type(e).__name__

@@ -1,7 +1,10 @@
 """An interrupt ends a command, also where a library's own code has dropped it."""
 
 import os
+import runpy
 import signal
+import subprocess
+import sys
 import threading
 import time
 import weakref
@@ -139,3 +142,25 @@ def test_no_signal_comes_after_a_command(monkeypatch: pytest.MonkeyPatch) -> Non
     finally:
         signal.signal(signal.SIGTERM, before)
     assert came == []
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "said"),
+    [("/bin/cgtorch-view", 1, "cgtorch-view: interrupted\n"), ("own", 3, "")],
+)
+def test_a_command_that_still_imports_ends_in_a_line(name: str, code: int, said: str) -> None:
+    program = (
+        f"import os, signal, sys, time\nsys.argv = [{name!r}]\nimport cgtorch.commands\n"
+        "try:\n    os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(9)\n"
+        "except KeyboardInterrupt:\n    sys.exit(3)"
+    )
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (found.returncode, found.stderr) == (code, said)
+
+
+def test_an_error_that_code_has_raised_is_not_taken_for_one_of_the_disk(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "own.py").write_text("def late():\n    raise TimeoutError('slow')\n")
+    assert ended(runpy.run_path(str(tmp_path / "own.py"))["late"])[0] == 1
+    assert capsys.readouterr().err.startswith("some: TimeoutError: slow in line 2 of ")
