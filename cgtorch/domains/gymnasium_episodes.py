@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cgtorch.domains.gymnasium_controls import controls_of, tried
 from cgtorch.domains.gymnasium_episode import METHODS, Episode, Took, truth
 from cgtorch.domains.gymnasium_explored import Explored, Look
 from cgtorch.domains.gymnasium_film import Filmed
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of, tried
+from cgtorch.domains.gymnasium_spaces import percepts_of
 from cgtorch.domains.registry import NOT_FOUND, foreign
 from cgtorch.domains.surroundings import check_defaults, surroundings
 from cgtorch.ground.dry_run import failed_at, reason

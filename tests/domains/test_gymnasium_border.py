@@ -12,9 +12,9 @@ from support import seeded
 
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium_controls import controls_of, tried
 from cgtorch.domains.gymnasium_scaling import scaling_of
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_spaces import controls_of, tried
 from cgtorch.domains.registry import make_domain
 from cgtorch.ground.asked import BudgetSpentError
 from cgtorch.ground.environment import start_lanes
