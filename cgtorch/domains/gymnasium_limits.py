@@ -21,10 +21,10 @@ def bounds_of_percepts(percepts: Percepts) -> tuple[Tensor, Tensor]:
     for part in percepts.parts:
         space = part.space
         if isinstance(space, Box):
-            # As floats of this size, since FAR is beyond those of half the size.
-            least, most = (end.ravel().astype(np.float64) for end in (space.low, space.high))
-            low.append(np.where(least > -FAR, least, -np.inf))
-            high.append(np.where(most < FAR, most, np.inf))
+            # In float64, as floats of half the usual size have no FAR.
+            below, above = (end.ravel().astype(np.float64) for end in (space.low, space.high))
+            low.append(np.where(below > -FAR, below, -np.inf))
+            high.append(np.where(above < FAR, above, np.inf))
         else:  # choices and bits
             low.append(np.zeros(flatdim(space)))
             high.append(np.ones(flatdim(space)))
