@@ -77,7 +77,8 @@ def _familiar(settings: GymnasiumSettings, seen: Explored) -> str:
         )
     raise DomainError(
         f"environment {settings.environment!r} names no return from which it counts as solved; "
-        "give one as target (--target), or a name in its info as success (--success)"
+        "give one as target (--target), or a name in its info as success (--success). A skill file "
+        "does not tell it, so without these options name the folder of its run"
     )
 
 
