@@ -74,7 +74,7 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
     differs = _differs(domain, world, who, slow)
     if isinstance(world, Rewarded) and differs:
         what = f"{who} gives rewards, and its world"
-        advice = "noise belongs to a scenario, so draw it in Domain.draw"
+        advice = "noise belongs to a scenario, so draw it in Domain.draw, read no clock"
         if isinstance(world, Named):
             what, advice = world.what, world.advice
         raise DomainError(
