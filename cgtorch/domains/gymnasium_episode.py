@@ -91,7 +91,8 @@ class Episode:
         try:
             # Unlike `float`, this takes no text.
             reward = math.fsum((gained.detach() if isinstance(gained, Tensor) else gained,))
-            if ends[0] not in ENDS or ends[1] not in ENDS:
+            swapped = isinstance(gained, bool | np.bool_) and isinstance(ends[0], float)
+            if swapped or ends[0] not in ENDS or ends[1] not in ENDS:
                 raise ValueError("neither true nor false")
             over, self.cut = bool(ends[0]) or bool(ends[1]), bool(ends[1])
         except (TypeError, ValueError):

@@ -151,7 +151,7 @@ def test_one_that_gives_rewards_has_to_repeat_itself(method: str) -> None:
     own = rail_with(**drawing(method), over=over, returns=returns)
     message = refused(own)
     assert message.startswith("Own gives rewards, and its world gave something else when")
-    assert message.endswith("draw it in Domain.draw, and keep nothing of an earlier episode")
+    assert message.endswith("Domain.draw, read no clock, and keep nothing of an earlier episode")
 
 
 def test_a_domain_may_say_itself_that_nothing_repeats() -> None:

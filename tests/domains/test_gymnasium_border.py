@@ -86,6 +86,7 @@ def later(change: Any) -> Change:
             r"as \(a bool, a float, a bool\)",
         ),
         ({"over": lambda line: np.nan}, r"as \(a float, a float, a bool\); .* true or false twice"),
+        ({"over": lambda line: 0.0, "reward": lambda line: False}, "as .a bool, a float, a bool"),
         ({"over": lambda line: 2}, r"as \(a float, a int, a bool\); .* true or false twice"),
         ({"reward": raising(ValueError("Illegal move"))}, "correct it there, as any action of its"),
         ({"reset": raising(ValueError("Illegal move"))}, "correct it there$"),
