@@ -86,7 +86,7 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
         succeeded = returned(DomainError, name, world.succeeded, state)
         expect(DomainError, name, "", succeeded, (ROWS,), torch.bool)
     if not differs and domain.repeats and not isinstance(world, Copied | Counting):
-        _check_rows(domain, who, scenarios)
+        _check_rows(domain, who, scenarios, ROWS if slow else TOGETHER)
     actions = returned(DomainError, f"{who}.actions", domain.actions)
     if not isinstance(actions, ActionSet):
         raise DomainError(f"{who}.actions returned {kind(actions)}; return an ActionSet")
@@ -116,9 +116,9 @@ def _differs(domain: Domain[Any], world: Environment, who: str, slow: bool) -> s
     return differs
 
 
-def _check_rows(domain: Domain[Any], who: str, scenarios: str) -> None:
+def _check_rows(domain: Domain[Any], who: str, scenarios: str, count: int) -> None:
     """DomainError if what a scenario shows depends on the others of a batch."""
-    several = _drawn(domain, who, scenarios, TOGETHER)
+    several = _drawn(domain, who, scenarios, count)
     world: Environment = returned(DomainError, f"{who}.world", domain.world, several)
     if changed := what_others_change(world, trial_controls(domain)):
         what = world.what if isinstance(world, Named) else f"{who}'s world"

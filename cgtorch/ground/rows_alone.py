@@ -14,7 +14,7 @@ from cgtorch.ground.errors import WorldError
 from cgtorch.ground.whole_episode import ROUNDED, SECONDS
 
 TOGETHER = 8  # rows of a batch, as a condition of the user's may be met only now and then
-TRIED = 6  # motions, at most
+TRIED = 3  # motions, at most
 
 Shown: TypeAlias = tuple[Lanes, dict[str, Tensor]]
 """Lanes, and their results by what they are."""
