@@ -7,7 +7,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from ctypes.util import find_library
 from functools import reduce
@@ -19,16 +19,11 @@ import click
 from cgtorch.commands import completion
 from cgtorch.commands.aside import foreign_reason, tell_in_lines
 from cgtorch.commands.interrupts import interrupts
+from cgtorch.commands.standard_modules import import_from_here
 from cgtorch.ground.ending import end_in_time
 from cgtorch.ground.errors import CgtorchError, WorldError, printable
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-def import_from_here(specs: Sequence[str]) -> None:
-    """Let "module:Class" name a module in the current folder, as `python -m` does."""
-    if any(":" in spec for spec in specs) and "" not in sys.path:
-        sys.path.insert(0, "")
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from cgtorch.commands import common, completion
+from cgtorch.commands.standard_modules import import_from_here
 from cgtorch.domains.registry import (
     check_options,
     domain_class,
@@ -52,7 +53,7 @@ class DomainCommand(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """See `click.Command.parse_args`; the domain is determined first."""
         ctx.meta[completion.DOMAIN] = spec = _domain_named(args)
-        common.import_from_here([spec])
+        import_from_here([spec])
         return super().parse_args(ctx, args)
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:

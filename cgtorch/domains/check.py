@@ -27,6 +27,7 @@ from cgtorch.ground.dry_run import (
     what_is_shared,
 )
 from cgtorch.ground.environment import (
+    Copied,
     Counting,
     Environment,
     Episodic,
@@ -37,6 +38,7 @@ from cgtorch.ground.environment import (
 )
 from cgtorch.ground.errors import ActionError, DomainError
 from cgtorch.ground.fields import Field, bounds_of
+from cgtorch.ground.rows_alone import TOGETHER, what_others_change
 from cgtorch.ground.whole_episode import SECONDS, STEPS, what_differs_late
 
 
@@ -64,25 +66,27 @@ def check_domain(domain: Domain[Any], scenarios: str) -> bool:
     slow = time.monotonic() - began > SECONDS
     if isinstance(world, Rewarded):
         _check_rewards(world, who)
+    for name, size in (("percept", world.percept_size), ("control", world.control_size)):
+        if (given := len(getattr(domain, name))) != size:
+            raise DomainError(
+                f"{who}.{name} names {given} numbers, its world has {size}; give one Field for each"
+            )
     differs = _differs(domain, world, who, slow)
     if isinstance(world, Rewarded) and differs:
         what = f"{who} gives rewards, and its world"
-        advice = "noise belongs to a scenario, so draw it in Domain.draw"
+        advice = "noise belongs to a scenario, so draw it in Domain.draw, read no clock"
         if isinstance(world, Named):
             what, advice = world.what, world.advice
         raise DomainError(
             f"{what} gave something else when it was called twice with the same arguments "
             f"({differs}); {advice}, and keep nothing of an earlier episode"
         )
-    for name, size in (("percept", world.percept_size), ("control", world.control_size)):
-        if (given := len(getattr(domain, name))) != size:
-            raise DomainError(
-                f"{who}.{name} names {given} numbers, its world has {size}; give one Field for each"
-            )
     if isinstance(world, World):
         name, state = f"{type(world).__name__}.succeeded", world.start(two_rows(ROWS))[0]
         succeeded = returned(DomainError, name, world.succeeded, state)
         expect(DomainError, name, "", succeeded, (ROWS,), torch.bool)
+    if not differs and domain.repeats and not isinstance(world, Copied | Counting):
+        _check_rows(domain, who, scenarios, ROWS if slow else TOGETHER)
     actions = returned(DomainError, f"{who}.actions", domain.actions)
     if not isinstance(actions, ActionSet):
         raise DomainError(f"{who}.actions returned {kind(actions)}; return an ActionSet")
@@ -98,9 +102,9 @@ def _differs(domain: Domain[Any], world: Environment, who: str, slow: bool) -> s
         return "it is said not to repeat itself"
     if differs := what_differs(world):
         return differs
-    shared, left = what_is_shared(world), ""
+    shared, left, controls = what_is_shared(world), "", trial_controls(domain)
     if not shared and isinstance(world, Episodic) and not isinstance(world, Counting):
-        differs, left = what_differs_late(world, trial_controls(domain), slow)
+        differs, left = what_differs_late(world, controls, slow)
     if (shared or left) and not differs:
         what = world.what if isinstance(world, Named) else f"{who}'s world"
         how = "when its scenarios began in another order" if shared else "in a second episode"
@@ -110,6 +114,19 @@ def _differs(domain: Domain[Any], world: Environment, who: str, slow: bool) -> s
             "episode to the next"
         )
     return differs
+
+
+def _check_rows(domain: Domain[Any], who: str, scenarios: str, count: int) -> None:
+    """DomainError if what a scenario shows depends on the others of a batch."""
+    several = _drawn(domain, who, scenarios, count)
+    world: Environment = returned(DomainError, f"{who}.world", domain.world, several)
+    if changed := what_others_change(world, trial_controls(domain)):
+        what = world.what if isinstance(world, Named) else f"{who}'s world"
+        raise DomainError(
+            f"{what} showed something else for a scenario alone than for the same one beside "
+            f"others ({changed}); let each row of a batch depend on itself only, so use "
+            "torch.where in place of if, and no mean, sum or largest number of all rows"
+        )
 
 
 def trial_controls(domain: Domain[Any]) -> torch.Tensor:
@@ -125,7 +142,11 @@ def _check_names(domain: Domain[Any], who: str) -> None:
         given = getattr(domain, name, None)
         fields = given if isinstance(given, Sequence) else ()
         if not fields or not all(isinstance(f, Field) for f in fields):
-            raise DomainError(f"{who}.{name} is {given!r:.60}; give a Field for each number")
+            how = ", in a tuple: a single one needs a comma, (field,)"
+            raise DomainError(
+                f"{who}.{name} is {given!r:.60}; give a Field for each number"
+                f"{how if isinstance(given, Field) else ''}"
+            )
     given = domain.kinds
     if not isinstance(given, tuple) or not all(isinstance(k, str) for k in given):
         raise DomainError(f"{who}.kinds is {given!r:.60}; give names in a tuple")

@@ -32,11 +32,16 @@ GOOD, GAIN = 0.65, 0.8
 """Γ is good enough at this share of the error without a machine, or if the last part of the data
 has not brought its error below this share of what it was."""
 BELIEVED = 0.5  # share of the successes that C has to expect, or no skill would ever test
-ADVICE = (
+RARE = (
     "give scenarios that begin nearer to success, say which controls are worth trying "
     "(Models.worth_trying), implement explore, or evolve in the world: "
     "models 'none' (--models none)"
 )
+OFTEN = (
+    "is the test of success right (succeeded)? If so, give scenarios that begin farther from it, "
+    "so that some motions miss it"
+)
+"""What to do where success was met too rarely, and where it was hardly ever missed."""
 
 
 @dataclass(frozen=True)
@@ -130,11 +135,12 @@ def _explored(models: Explored, about: Exploration, without: Callable[[int], Non
         more = FIRST if known is None else max(FIRST, robots.motions // 2)
         data = data.extended(robots.moved(known, more))
     if known is None:
-        met = "missed" if _rarer(data) == int(data.succeeded.sum()) else "met"
+        few, tests = _rarer(data), len(data.succeeded)
+        rare = few == int(data.succeeded.sum())
         raise DataError(
-            f"success was {met} in {len(data.succeeded) - _rarer(data)} of {len(data.succeeded)} "
-            f"tests of {len(data.percept)} motions, and {FEWEST} of either result are needed; "
-            f"{ADVICE}"
+            f"success was {'missed' if rare else 'met'} in {tests - few} of {tests} tests "
+            f"of {len(data.percept)} motions, and {FEWEST} of either result are needed; "
+            f"{RARE if rare else OFTEN}"
         )
     return data
 

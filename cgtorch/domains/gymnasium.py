@@ -189,7 +189,11 @@ class Gymnasium(Domain[Starts]):
         return self.episodes.pace()
 
     def draw(self, kind: str, count: int, generator: Generator) -> Starts:
-        """See `Domain.draw`."""
+        """See `Domain.draw`; DomainError for another kind than `kinds`."""
+        if kind not in self.kinds:
+            raise DomainError(
+                f"Gymnasium has no scenarios {kind!r:.40}; use one of {', '.join(self.kinds)}"
+            )
         return Starts(torch.randint(2**31, (count,), generator=generator))
 
     def world(self, scenarios: Starts) -> GymnasiumWorld:

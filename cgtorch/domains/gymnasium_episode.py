@@ -4,6 +4,7 @@ Environments are the user's own code, so here is where their errors and their nu
 """
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from copy import deepcopy
@@ -14,6 +15,7 @@ from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from cgtorch.domains.gymnasium_spaces import Percepts
 from cgtorch.domains.surroundings import check_defaults, surroundings
@@ -28,6 +30,10 @@ FORMS = {
     "step": (5, "(observation, reward, terminated, truncated, info)"),
 }
 """What methods return: the number of parts, and their names."""
+ENDS = False, True
+"""What terminated and truncated can be; a number is one of them if it is equal."""
+CHOOSY = r"legal|valid|allowed|mask|\bmove"
+"""Words of environments in which not every action can be chosen at any time."""
 
 
 @dataclass
@@ -84,8 +90,11 @@ class Episode:
         self.keys.append((self.keys[-1] * PRIME + crc32(control)) % KEYS)
         try:
             # Unlike `float`, this takes no text.
-            reward, over = math.fsum((gained,)), math.fsum(ends) > 0
-            self.cut = bool(ends[1])
+            reward = math.fsum((gained.detach() if isinstance(gained, Tensor) else gained,))
+            swapped = isinstance(gained, bool | np.bool_) and isinstance(ends[0], float)
+            if swapped or ends[0] not in ENDS or ends[1] not in ENDS:
+                raise ValueError("neither true nor false")
+            over, self.cut = bool(ends[0]) or bool(ends[1]), bool(ends[1])
         except (TypeError, ValueError):
             said = kind((gained, *ends))
             raise WorldError(
@@ -132,6 +141,8 @@ class Episode:
             place = failed_at(e)
             inside = place or not isinstance(e, TypeError)
             advice = "correct it there" if inside else f"declare it as {METHODS[method]}"
+            if inside and method == "step" and re.search(CHOOSY, str(reason(e)), re.IGNORECASE):
+                advice += ", as any action of its space may come, and masks in infos are not read"
             raise WorldError(f"{self.where} raised {reason(e)}{place}; {advice}") from e
         self.took[method].add(perf_counter() - began)
         parts, form = FORMS[method]

@@ -11,22 +11,25 @@ import time
 import weakref
 from collections.abc import Callable, Sequence
 from copy import deepcopy
+from importlib import import_module
 from importlib.metadata import EntryPoint
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cgtorch.domains.gymnasium_controls import controls_of, tried
 from cgtorch.domains.gymnasium_episode import METHODS, Episode, Took, truth
 from cgtorch.domains.gymnasium_explored import Explored, Look
 from cgtorch.domains.gymnasium_film import Filmed
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_spaces import controls_of, percepts_of, tried
+from cgtorch.domains.gymnasium_spaces import percepts_of
 from cgtorch.domains.registry import NOT_FOUND, foreign
 from cgtorch.domains.surroundings import check_defaults, surroundings
 from cgtorch.ground.dry_run import failed_at, reason
 from cgtorch.ground.ending import PATIENCE, at_end
 from cgtorch.ground.errors import CgtorchError, DomainError, WorldError
+from cgtorch.ground.own_modules import INSIDE, as_module, is_relative
 from cgtorch.native.processes import counted
 
 MOST = 64
@@ -209,8 +212,15 @@ class Episodes:
         name, keywords = self._settings.environment, self._settings.keywords
         surroundings.begin()
         try:
+            if module := name.rpartition(":")[0]:
+                surroundings.call(
+                    lambda: as_module(lambda: import_module(module)),
+                    lambda: f"the import of module {module!r}",
+                )
             made: Any = surroundings.call(
-                lambda: gymnasium.make(name, disable_env_checker=True, **keywords),
+                lambda: as_module(
+                    lambda: gymnasium.make(name, disable_env_checker=True, **keywords)
+                ),
                 lambda: f"the constructor of environment {name!r}",
             )
         except CgtorchError:
@@ -248,8 +258,14 @@ def _refusal(name: str, error: Exception, forked: bool) -> DomainError:
 
     place = failed_at(error)
     advice = "correct it there" if place else "correct that first"
+    if isinstance(error, ModuleNotFoundError) and place:
+        advice = "is it spelt right, and installed?"
     if isinstance(error, UnregisteredEnv | ImportError) and not place:
         advice = _not_found(name, error)
+    if "No module named 'gym'" in str(error):
+        advice = "port it from gym to its successor (import gymnasium as gym, and its interface)"
+    if is_relative(error):
+        advice = INSIDE
     if isinstance(error, TypeError) and " argument" in str(error):
         advice = "does it have these keywords, or need others (--env NAME=VALUE)?"
     if forked:
@@ -261,15 +277,16 @@ def _refusal(name: str, error: Exception, forked: bool) -> DomainError:
 
 def _not_found(name: str, error: Exception) -> str:
     """What to do about an environment that is not registered, or whose module is not found."""
-    if "No module named 'gym'" in str(error):
-        return "port it from gym to its successor (import gymnasium as gym, and its interface)"
     module, _, own = name.rpartition(":")
     if module and not isinstance(error, ImportError):
         return (
             f"module {module!r} was imported and does not register {own!r}; is it spelt right, and "
             "does the module call gymnasium.register(id=..., entry_point=...)?"
         )
-    return "is it spelt right, its package installed, and its module given (module:ENV_ID)?"
+    return (
+        "is it spelt right, its module given (module:ENV_ID), and that in this folder, on "
+        "PYTHONPATH or installed?"
+    )
 
 
 def _close(environments: list[tuple[int, Any]]) -> None:

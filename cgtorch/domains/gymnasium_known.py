@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+import numpy as np
+
 from cgtorch.domains.gymnasium_episodes import LIMITING, Episodes
 from cgtorch.domains.gymnasium_explored import Explored
 from cgtorch.domains.gymnasium_scaling import EVEN, Scaling, outside, scaled_by_bounds, scaling_of
@@ -45,7 +47,7 @@ def found_out(settings: GymnasiumSettings, episodes: Episodes, target: float | N
     names = (settings.success,) if settings.success else () if target is not None else FAMILIAR
     seen = episodes.explored(LOOKS, STEPS, names)
     scaling, common = scaling_of(seen.percepts), [outside(episodes.percepts, seen.percepts)]
-    common.append(_without_limit(episodes, seen))
+    common += [_too_close(episodes, seen), _without_limit(episodes, seen)]
     if target is not None and not settings.success:
         return Known(scaling, target=target, remark=_together(*common, _alike(seen)))
     own = settings.success or _familiar(settings, seen)
@@ -77,7 +79,8 @@ def _familiar(settings: GymnasiumSettings, seen: Explored) -> str:
         )
     raise DomainError(
         f"environment {settings.environment!r} names no return from which it counts as solved; "
-        "give one as target (--target), or a name in its info as success (--success)"
+        "give one as target (--target), or a name in its info as success (--success). A skill file "
+        "does not tell it, so without these options name the folder of its run"
     )
 
 
@@ -116,6 +119,22 @@ def _without_limit(episodes: Episodes, seen: Explored) -> str:
         f"The environment has no limit of steps{random}; an episode that does not end within the "
         "transitions of a skill (--max-transitions) has no return, so if some may not end, give a "
         f"limit ({LIMITING})."
+    )
+
+
+def _too_close(episodes: Episodes, seen: Explored) -> str:
+    """A remark about the first whole number that varied by less than floats can tell, else ""."""
+    if seen.percepts.dtype.kind not in "iu":
+        return ""
+    least, most = seen.percepts.min(0), seen.percepts.max(0)
+    lost = (least != most) & (least.astype(np.float64) == most.astype(np.float64))
+    if not lost.any():
+        return ""
+    at = int(lost.argmax())
+    return (
+        f"Random episodes showed {episodes.percepts.fields[at].name} between {least[at]} and "
+        f"{most[at]}, which floats cannot tell apart, so it never varies in percepts; subtract a "
+        "constant (--wrappers)."
     )
 
 

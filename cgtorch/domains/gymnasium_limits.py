@@ -21,12 +21,14 @@ def bounds_of_percepts(percepts: Percepts) -> tuple[Tensor, Tensor]:
     for part in percepts.parts:
         space = part.space
         if isinstance(space, Box):
-            low.append(np.where(space.low > -FAR, space.low, -np.inf).ravel())
-            high.append(np.where(space.high < FAR, space.high, np.inf).ravel())
+            # In float64, as floats of half the usual size have no FAR.
+            below, above = (end.ravel().astype(np.float64) for end in (space.low, space.high))
+            low.append(np.where(below > -FAR, below, -np.inf))
+            high.append(np.where(above < FAR, above, np.inf))
         else:  # choices and bits
             low.append(np.zeros(flatdim(space)))
             high.append(np.ones(flatdim(space)))
-    ends = (torch.from_numpy(np.concatenate(each).astype(np.float64)) for each in (low, high))
+    ends = (torch.from_numpy(np.concatenate(each)) for each in (low, high))
     least, most = (each if percepts.columns is None else each[percepts.columns] for each in ends)
     return least, most
 

@@ -1,11 +1,11 @@
-"""Spaces of Gymnasium as fields: the numbers of observations, and actions from numbers."""
+"""Spaces of Gymnasium, their parts, and the numbers of observations as fields."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,13 +57,13 @@ def _places(shape: tuple[int, ...]) -> list[str]:
     return [f" {place}" if place else "" for place in each]
 
 
-def _starts(space: Any) -> NDArray[Any]:
+def starts_of(space: Any) -> NDArray[Any]:
     """The smallest values of the choices of a MultiDiscrete."""
     starts: NDArray[Any] = np.broadcast_to(getattr(space, "start", 0), space.nvec.shape)
     return starts
 
 
-def _size(space: Any) -> int:
+def size_of(space: Any) -> int:
     """How many numbers Gymnasium flattens a space to; 0 if it is no numbers."""
     from gymnasium.spaces import flatdim
 
@@ -75,22 +75,22 @@ def _size(space: Any) -> int:
 
 def _unfit(space: Any) -> str:
     """What numbers a space has that gives none, or too many."""
-    return f"more than {MANY:,} numbers" if _size(space) > MANY else "no fixed numbers"
+    return f"more than {MANY:,} numbers" if size_of(space) > MANY else "no fixed numbers"
 
 
-def _numbers(part: Part) -> list[str] | None:
+def numbers_of(part: Part) -> list[str] | None:
     """The names of the numbers of a part, as Gymnasium flattens it; None for none or too many."""
     from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete
 
     space, name = part.space, part.name
-    if _size(space) > MANY:
+    if size_of(space) > MANY:
         return None
     if isinstance(space, Box | MultiBinary):
         return [f"{name}{place}" for place in _places(tuple(space.shape))]
     if isinstance(space, Discrete):
         return [f"{name} = {space.start + i}" for i in range(int(space.n))]
     if isinstance(space, MultiDiscrete):
-        each = zip(_places(space.nvec.shape), space.nvec.flat, _starts(space).flat, strict=True)
+        each = zip(_places(space.nvec.shape), space.nvec.flat, starts_of(space).flat, strict=True)
         return [f"{name}{place} = {first + i}" for place, n, first in each for i in range(n)]
     return None
 
@@ -154,7 +154,7 @@ def _check_choices(part: Part, value: Any) -> None:
             return
         least, most = space.start, space.start + space.n - 1
     elif isinstance(space, MultiDiscrete):
-        starts = _starts(space).ravel()
+        starts = starts_of(space).ravel()
         wrong = (values < starts) | (values >= starts + space.nvec.ravel())
         if not wrong.any():
             return
@@ -174,7 +174,7 @@ def percepts_of(space: Any, patterns: Sequence[str], environment: str) -> Percep
     DomainError if there are none, or a pattern matches none.
     """
     every = parts_of(space, "observation")
-    named = [(part, _numbers(part)) for part in every]
+    named = [(part, numbers_of(part)) for part in every]
     names = [(part.name, name) for part, found in named for name in found or ()]
     left_out = {part.name: _unfit(part.space) for part, found in named if found is None}
     taken = set[int]()
@@ -218,131 +218,3 @@ def _no_percepts(
         f"percepts {pattern!r:.60} matches nothing that environment {environment!r} shows; it has "
         f"{shown}"
     )
-
-
-Decoder: TypeAlias = Callable[[NDArray[Any]], Sequence[Any] | NDArray[Any]]
-"""Makes n actions from numbers (n, U)."""
-
-
-@dataclass(frozen=True)
-class Controls:
-    """How U numbers become actions.
-
-    A number of a Box is itself, within bounds. A discrete choice has a preference for each of its
-    values, of which the largest is taken, and a bit is 1 if its preference is above 0.
-    """
-
-    fields: tuple[Field, ...]
-    actions: Decoder
-
-
-def controls_of(space: Any, environment: str) -> Controls:
-    """How numbers become actions of a space; DomainError for one without fixed numbers."""
-    decoders, fields = list[tuple[Part, slice, Decoder]](), list[Field]()
-    for part in parts_of(space, "action"):
-        own, decoder = _decoded(part, environment)
-        decoders.append((part, slice(len(fields), len(fields) + len(own)), decoder))
-        fields += own
-    if not fields:
-        raise DomainError(
-            f"environment {environment!r} has actions {space!s:.200}; only numbers and choices "
-            "that vary can be controls"
-        )
-    if decoders[0][0].space is space:  # it has no parts
-        return Controls(tuple(fields), decoders[0][2])
-
-    def actions(control: NDArray[Any]) -> list[Any]:
-        found = {part.keys: decode(control[:, where]) for part, where, decode in decoders}
-        return [_together(space, found, i) for i in range(len(control))]
-
-    return Controls(tuple(fields), actions)
-
-
-def _together(space: Any, found: dict[Any, Any], row: int, keys: tuple[Any, ...] = ()) -> Any:
-    """The action of a Dict or Tuple whose parts have these values, by their keys, in each row."""
-    from gymnasium.spaces import Dict, Tuple
-
-    if isinstance(space, Dict):
-        return {key: _together(s, found, row, (*keys, key)) for key, s in space.items()}
-    if isinstance(space, Tuple):
-        return tuple(_together(s, found, row, (*keys, i)) for i, s in enumerate(space.spaces))
-    return found[keys][row]
-
-
-def _decoded(part: Part, environment: str) -> tuple[list[Field], Decoder]:
-    """The fields of a part of an action, and how it is made from their numbers."""
-    from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete
-
-    space, name = part.space, part.name
-    if _size(space) > MANY:
-        raise DomainError(
-            f"environment {environment!r} has {name} in {space!s:.80}, which is more than {MANY:,} "
-            "numbers; wrap it (--wrappers)"
-        )
-    if isinstance(space, Discrete):
-        start = int(space.start)
-        names = [f"for {name} {i + 1}" for i in range(int(space.n))]
-        return _preferences(names), lambda control: control.argmax(1) + start
-    if isinstance(space, Box):
-        ends = zip(_places(space.shape), _low(space).flat, _high(space).flat, strict=True)
-        fields = [Field(f"{name}{p}", low=float(a), high=float(b)) for p, a, b in ends if a < b]
-        return fields, lambda control: _bounded(space, control)
-    if isinstance(space, MultiBinary):
-        names = [f"for {name}{place}" for place in _places(tuple(space.shape))]
-        return _preferences(names), lambda c: (c > 0).astype(space.dtype).reshape(-1, *space.shape)
-    if isinstance(space, MultiDiscrete):
-        each = zip(_places(space.nvec.shape), space.nvec.flat, strict=True)
-        names = [f"for {name}{place}: {i + 1}" for place, n in each for i in range(n)]
-        return _preferences(names), lambda control: _chosen(space, control)
-    raise DomainError(
-        f"environment {environment!r} has {name} in {space!s:.80}; only numbers and choices can be "
-        "controls"
-    )
-
-
-def _preferences(names: list[str]) -> list[Field]:
-    return [Field(f"preference {name}", low=-1, high=1) for name in names]
-
-
-def _low(space: Any) -> NDArray[Any]:
-    """The lower bounds of a Box; -inf where they are as far away as none."""
-    return np.where(space.bounded_below & (space.low > -FAR), space.low, -np.inf)
-
-
-def _high(space: Any) -> NDArray[Any]:
-    """The upper bounds of a Box; inf where they are as far away as none."""
-    return np.where(space.bounded_above & (space.high < FAR), space.high, np.inf)
-
-
-def tried(space: Any) -> Any:
-    """The space of actions of random episodes: of Boxes without bounds that are as far as none.
-
-    Gymnasium draws numbers without bounds near 1, and others uniformly within them.
-    """
-    from gymnasium.spaces import Box, Dict, Tuple
-
-    if isinstance(space, Dict):
-        return Dict({key: tried(s) for key, s in space.items()})
-    if isinstance(space, Tuple):
-        return Tuple([tried(s) for s in space.spaces])
-    floats = isinstance(space, Box) and np.issubdtype(space.dtype, np.floating)
-    return Box(_low(space), _high(space), dtype=space.dtype) if floats else space
-
-
-def _bounded(space: Any, control: NDArray[Any]) -> NDArray[Any]:
-    """Values of a Box from its numbers (n, U), of which it lacks those that cannot vary."""
-    low = space.low.ravel().astype(np.float64)
-    values = np.tile(low, (len(control), 1))
-    values[:, low < space.high.ravel()] = control
-    shaped = values.reshape(-1, *space.shape)
-    within: NDArray[Any] = shaped.clip(space.low, space.high).astype(space.dtype)
-    return within
-
-
-def _chosen(space: Any, control: NDArray[Any]) -> NDArray[Any]:
-    """Values of a MultiDiscrete from preferences (n, U)."""
-    ends = np.cumsum(space.nvec.ravel())
-    best = [part.argmax(1) for part in np.split(control, ends[:-1], axis=1)]
-    values = np.stack(best, 1).reshape(-1, *space.nvec.shape) + _starts(space)
-    chosen: NDArray[Any] = values.astype(space.dtype)
-    return chosen

@@ -86,7 +86,7 @@ class GymnasiumWorld(ABC):
         )
         return (
             f"{wrapper}draw all random numbers from self.np_random, which super().reset(seed=seed) "
-            "seeds anew, keep nothing in a class or module"
+            "seeds anew, let no clock decide anything, keep nothing in a class or module"
         )
 
     def begun_by(self, scenario: int) -> str:

@@ -259,8 +259,10 @@ def foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:
 
     Advice on what was named or called is given unless the exception comes from within.
     """
+    from cgtorch.ground.own_modules import INSIDE, as_module, is_relative
+
     try:
-        return call()
+        return as_module(call)
     except CgtorchError:
         raise
     except Exception as e:
@@ -271,4 +273,6 @@ def foreign(call: Callable[[], Any], failure: str, advice: str) -> Any:
         inside = (advice == CONSTRUCTOR and place) or not isinstance(e, own)
         if inside and advice in (CONSTRUCTOR, NOT_FOUND):
             advice = "correct that first"
+        if is_relative(e):
+            advice = INSIDE
         raise DomainError(f"{failure} ({reason(e)}){place}; {advice}") from e

@@ -30,7 +30,13 @@ def two_rows(count: int, device: torch.device | str = "cpu") -> Tensor:
     return torch.tensor([0, min(1, count - 1)], device=device)
 
 
-def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *given: Any) -> Any:
+def returned(
+    error: type[CgtorchError],
+    who: str,
+    method: Callable[..., Any],
+    *given: Any,
+    tried: str = "two rows",
+) -> Any:
     """The result of a method; any exception becomes an `error` that names the method."""
     try:
         with torch.no_grad():
@@ -38,7 +44,7 @@ def returned(error: type[CgtorchError], who: str, method: Callable[..., Any], *g
     except CgtorchError:
         raise
     except Exception as e:
-        raise error(f"{who} raised {reason(e)}{failed_at(e)}, tried with two rows") from e
+        raise error(f"{who} raised {reason(e)}{failed_at(e)}, tried with {tried}") from e
 
 
 def failed_at(e: BaseException) -> str:

@@ -45,7 +45,7 @@ def test_a_skill_is_seen_picture_by_picture_with_what_it_does(opened: Visit) -> 
     page.get_by_role("button", name="next").click()
     expect(headline).to_contain_text("Step_1 → success")
     expect(page.locator("#percept")).to_contain_text("observation 4")
-    expect(page.locator("#about")).to_contain_text("preference for action 1")
+    expect(page.locator("#about")).to_contain_text("preference for action = 0")
     assert picture.get_attribute("src") != first
     page.get_by_role("button", name="back").click()
     expect(headline).to_contain_text("Linear_0")

@@ -41,6 +41,12 @@ def test_each_number_has_a_field(name: str, bad: object) -> None:
     assert message == f"Own.{name} is {bad!r:.60}; give a Field for each number"
 
 
+def test_a_single_field_without_its_comma_is_told_so() -> None:
+    assert refused(cart_with(percept=(Field("place")))).endswith(
+        "give a Field for each number, in a tuple: a single one needs a comma, (field,)"
+    )
+
+
 def test_a_class_that_forgot_its_fields_is_told_so() -> None:
     class Blind(Cart):
         def __getattribute__(self, name: str) -> Any:
@@ -116,7 +122,7 @@ def test_what_draw_returns_wrongly_is_named(draw: Callable[..., Any], message: s
 
 def test_a_generator_that_is_left_alone_is_no_error() -> None:
     """Scenarios that are always the same are drawn from nothing."""
-    same = Cart().draw("any", 2, seeded(0))
+    same = Cart().draw("any", 8, seeded(0))
     check_domain(cart_with(draw=lambda self, kind, count, generator: same[:count]), "any")
 
 
@@ -145,7 +151,7 @@ def test_one_that_gives_rewards_has_to_repeat_itself(method: str) -> None:
     own = rail_with(**drawing(method), over=over, returns=returns)
     message = refused(own)
     assert message.startswith("Own gives rewards, and its world gave something else when")
-    assert message.endswith("draw it in Domain.draw, and keep nothing of an earlier episode")
+    assert message.endswith("Domain.draw, read no clock, and keep nothing of an earlier episode")
 
 
 def test_a_domain_may_say_itself_that_nothing_repeats() -> None:
@@ -210,6 +216,70 @@ def test_what_a_world_returns_wrongly_is_named(
     own = rail_with(**{method: lambda self, *given: result(*given)})
     with pytest.raises((WorldError, DomainError), match=rf"Track\.{message}"):
         check_domain(own, "any")
+
+
+def pushed(state: Tensor, control: Tensor) -> Tensor:
+    return torch.cat([state[:, :1] + control[:, :1].clamp(-1, 1), state[:, 1:]], 1)
+
+
+def centred(self: Environment, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+    after = pushed(state, control)
+    return after - after.mean(0)
+
+
+def at_times(self: Environment, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+    """What the first row decides for all."""
+    return state if state[0, 0] > 0 and control[0, 0] > 0 else pushed(state, control)
+
+
+def each(self: Environment, state: Tensor, control: Tensor, scenario: Tensor) -> Tensor:
+    stays = (state[:, :1] > 0) & (control[:, :1] > 0)
+    return torch.where(stays, state, pushed(state, control))
+
+
+@pytest.mark.parametrize("wrong", [centred, at_times])
+def test_what_depends_on_other_rows_is_told(wrong: Callable[..., Any]) -> None:
+    told = refused(rail_with(next_state=wrong))
+    assert told.startswith("Own's world showed something else for a scenario alone than for the sa")
+    assert re.search(
+        r"number \d of the percept after motion \d+: \S+ and \S+\); let each row", told
+    )
+    check_domain(rail_with(next_state=each), "any")
+
+
+@pytest.mark.parametrize(
+    ("method", "result", "told"),
+    [
+        ("first_state", lambda s: s - s.mean(0), "number 1 of the first percept: 0.0 and "),
+        ("succeeded", lambda s: s[:, 0] > s[:, 0].mean(), "success after motion 1: 0.0 and 1.0"),
+    ],
+)
+def test_each_method_is_tried_with_a_row_alone(
+    method: str, result: Callable[[Tensor], Tensor], told: str
+) -> None:
+    def own(self: Rail, given: Tensor) -> Tensor:
+        return result(Rail.first_state(self, given) if method == "first_state" else given)
+
+    assert told in refused(rail_with(**{method: own}))
+
+
+def test_what_returns_are_made_of_is_tried_with_a_row_alone() -> None:
+    def shared(self: Environment, lanes: Lanes) -> Tensor:
+        return lanes.state[:, 0] / len(lanes)
+
+    assert "alone" in refused(rail_with(over=over, returns=shared))
+
+
+def test_a_row_alone_keeps_its_dimension() -> None:
+    flat = rail_with(succeeded=lambda self, state: state[:, :1].squeeze() > 0)
+    with pytest.raises(
+        WorldError,
+        match=r"success after motion 1 in a tensor \(\) of float32 for one row, in a tensor \(8,",
+    ):
+        check_domain(flat, "any")
+    fails = rail_with(succeeded=lambda self, state: (state[1, 0], state[:, 0] > 0)[1])
+    with pytest.raises(WorldError, match=r"raised IndexError: .*tried with one row"):
+        check_domain(fails, "any")
 
 
 def test_what_is_no_environment_is_refused() -> None:

@@ -12,9 +12,9 @@ from support import seeded
 
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium_controls import controls_of, tried
 from cgtorch.domains.gymnasium_scaling import scaling_of
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_spaces import controls_of, tried
 from cgtorch.domains.registry import make_domain
 from cgtorch.ground.asked import BudgetSpentError
 from cgtorch.ground.environment import start_lanes
@@ -81,6 +81,15 @@ def later(change: Any) -> Change:
         ),
         ({"over": lambda line: np.zeros(2)}, r"as \(a float, a ndarray, a bool\).* true or false"),
         ({"over": lambda line: "no"}, r"as \(a float, a str, a bool\)"),
+        (
+            {"over": lambda line: 0.5, "reward": lambda line: True},
+            r"as \(a bool, a float, a bool\)",
+        ),
+        ({"over": lambda line: np.nan}, r"as \(a float, a float, a bool\); .* true or false twice"),
+        ({"over": lambda line: 0.0, "reward": lambda line: False}, "as .a bool, a float, a bool"),
+        ({"over": lambda line: 2}, r"as \(a float, a int, a bool\); .* true or false twice"),
+        ({"reward": raising(ValueError("Illegal move"))}, "correct it there, as any action of its"),
+        ({"reset": raising(ValueError("Illegal move"))}, "correct it there$"),
         ({"seen": lambda line: np.array([1j, 0])}, r"in reset.* a ndarray .*of type complex128"),
         ({"reward": raising(MumbledError())}, r"in step 1 .* raised MumbledError in line"),
         ({"info": lambda line: None}, "in step 1 .* returned a NoneType as info; .* a dict"),
@@ -115,6 +124,24 @@ def test_what_goes_wrong_is_told_where_it_does(
 ) -> None:
     with pytest.raises(WorldError, match=f"environment 'Tiny/Line-v0' .*{message}"):
         domain_of(monkeypatch, changes)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [(), (1,)])
+def test_numbers_may_be_tensors_and_arrays(
+    monkeypatch: pytest.MonkeyPatch, size: tuple[int, ...]
+) -> None:
+    changes: dict[str, Change] = {
+        "reward": lambda line: torch.full(size, 2.0, requires_grad=True),
+        "over": lambda line: np.full(size, line.steps > 1),
+    }
+    seen = domain_of(monkeypatch, changes).episodes.explored(1, 9)
+    assert (seen.rewards.tolist(), seen.ended, seen.cut) == ([2.0, 2.0], True, False)
+
+
+def test_other_kinds_of_scenarios_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DomainError, match="Gymnasium has no scenarios 'far'; use one of starts"):
+        domain_of(monkeypatch, {}).draw("far", 2, seeded(0))
 
 
 def test_methods_without_the_arguments_of_gymnasium_are_told(

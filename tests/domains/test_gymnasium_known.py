@@ -140,3 +140,17 @@ def test_rewards_that_are_alike_for_their_size_are_remarked_upon(
     domain = domain_of(monkeypatch, {"reward": lambda line: size + line.place})
     assert ("subtract a constant (--wrappers)" in domain.known.remark) == alike
     assert not domain_of(monkeypatch, {"reward": lambda line: size}).known.remark
+
+
+def test_whole_numbers_that_differ_by_less_than_floats_can_tell_are_remarked_upon(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def stamped(first: int) -> dict[str, Change]:
+        return {"seen": lambda line: np.array([3 - line.steps, first + 10 * line.steps])}
+
+    remark = domain_of(monkeypatch, stamped(1_764_000_000_000_000_000)).known.remark
+    assert (
+        "showed observation 2 between 1764000000000000000 and 1764000000000000060, which floats "
+        "cannot tell apart, so it never varies in percepts; subtract a constant (--wrappers)."
+    ) in remark
+    assert "never varies" not in domain_of(monkeypatch, stamped(1_764_000_000)).known.remark

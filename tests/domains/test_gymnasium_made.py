@@ -78,7 +78,7 @@ def test_the_name_imports_the_module() -> None:
         ("import gym", r"No module named 'gym'.*; port it from gym to its successor"),
         (
             "import no_such",
-            r"No module named 'no_such'.*; is it spelt right, its package installed",
+            r"No module named 'no_such'\) in line 1 of own_module.py; is it spelt right, and",
         ),
     ],
 )
@@ -90,6 +90,24 @@ def test_a_module_that_gives_no_environment_is_told(
     monkeypatch.delitem(sys.modules, "own_module", raising=False)
     with pytest.raises(DomainError, match=message):
         domain_of("own_module:Own-v0")
+
+
+def test_a_module_that_is_not_found_is_looked_for_here() -> None:
+    with pytest.raises(DomainError, match=r"given \(module:ENV_ID\), .* on PYTHONPATH or"):
+        domain_of("no_such_module:Own-v0")
+
+
+def test_what_takes_long_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    told = list[str]()
+    monkeypatch.setattr("test_gymnasium_made.told", told, raising=False)
+    (tmp_path / "slow_module.py").write_text(
+        "import test_gymnasium_made as t\nfrom cgtorch.domains.surroundings import surroundings\n"
+        "t.told.append(surroundings.unreturned(0))"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(DomainError, match="does not register 'Own-v0'"):
+        domain_of("slow_module:Own-v0")
+    assert told[0].startswith("the import of module 'slow_module' has not returned for 0 s")
 
 
 def test_it_is_told_how_long_calls_took() -> None:

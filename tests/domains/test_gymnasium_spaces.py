@@ -9,9 +9,10 @@ from support import seeded
 
 from cgtorch.domains.check import check_domain
 from cgtorch.domains.gymnasium import Gymnasium
+from cgtorch.domains.gymnasium_controls import controls_of, tried
 from cgtorch.domains.gymnasium_limits import bounds_of_percepts
 from cgtorch.domains.gymnasium_settings import GymnasiumSettings
-from cgtorch.domains.gymnasium_spaces import LISTED, controls_of, percepts_of, tried
+from cgtorch.domains.gymnasium_spaces import LISTED, percepts_of
 from cgtorch.domains.registry import make_domain
 from cgtorch.ground.environment import start_lanes
 from cgtorch.ground.errors import DomainError
@@ -65,11 +66,11 @@ def test_each_number_of_an_action_has_a_name_and_bounds() -> None:
     fields = {f.name: (f.low, f.high) for f in domain_of(ZOO).control}
     assert fields == {
         **{f"arm {place}": (-9, 9) for place in ("1,1", "1,2", "2,1", "2,2")},
-        **dict.fromkeys(["preference for both[1] 1", "preference for both[1] 2"], (-1, 1)),
+        **dict.fromkeys(["preference for both[1] = 5", "preference for both[1] = 6"], (-1, 1)),
         "both[2] 1": (-1, 1),
         **{
             f"preference for keys {end}": (-1, 1)
-            for end in ("1: 1", "1: 2", "2: 1", "2: 2", "2: 3")
+            for end in ("1 = 0", "1 = 1", "2 = 0", "2 = 1", "2 = 2")
         },
         **dict.fromkeys(["preference for lamps 1", "preference for lamps 2"], (-1, 1)),
     }
@@ -201,6 +202,88 @@ def test_numbers_that_cannot_vary_are_no_controls() -> None:
     assert action.dtype == np.int64
     with pytest.raises(DomainError, match="only numbers and choices that vary can be controls"):
         controls_of(spaces.Box(2.0, 2.0, (3,)), "still")
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        spaces.Discrete(1),
+        spaces.MultiDiscrete([1, 1]),
+        spaces.Tuple([spaces.Discrete(1, start=3), spaces.Box(2.0, 2.0, (3,))]),
+    ],
+)
+def test_an_action_with_nothing_to_choose_is_refused(space: spaces.Space[Any]) -> None:
+    with pytest.raises(DomainError, match="only numbers and choices that vary can be controls"):
+        controls_of(space, "still")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "dtype", "names"),
+    [
+        (950, 1050, np.float32, ("950", "1050")),
+        (-1200, -1000, np.float64, ("-1200", "-1000")),
+        (-1e-5, 1e-5, np.float64, ("-1e-05", "1e-05")),
+        (0, 0.004, np.float32, ("0", "0.004")),
+        (-3e-6, 3e-6, np.float32, ("-3e-06", "3e-06")),
+        (-1e4, 1e4, np.float16, ("-1e+04", "1e+04")),
+        (-1e5, 1e6, np.float64, ("-100000", "1000000")),
+        (1e15, 1e15 + 8, np.float64, ("1e+15", "1e+15")),
+    ],
+)
+def test_numbers_far_from_one_are_shares_of_their_range(
+    low: float, high: float, dtype: Any, names: tuple[str, str]
+) -> None:
+    space = spaces.Box(dtype(low), dtype(high), (1,), dtype)
+    controls = controls_of(space, "odd")
+    (field,) = controls.fields
+    if low < 1e15:
+        assert field.name == f"action 1 from {names[0]} (-1) to {names[1]} (1)"
+    assert (field.low, field.high) == (-1, 1)
+    found = np.asarray(controls.actions(np.array([[-1], [0], [1], [-7], [7], [0.5]])))
+    middle, half = (float(dtype(low)) + float(dtype(high))) / 2, float(dtype(high) - dtype(low)) / 2
+    wanted = [middle + share * half for share in (-1, 0, 1, -1, 1, 0.5)]
+    assert found.dtype == dtype
+    assert found[:, 0].tolist() == pytest.approx(wanted, rel=1e-3)
+    assert found[:5, 0].tolist() == [dtype(x) for x in wanted[:5]]
+    assert all(space.contains(each) for each in found)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [
+        (-2, 2), (-0.4, 0.4), (0, 1), (-100, 100), (-0.01, 0.01), (100, 200), (150, 250),
+        (-np.inf, np.inf), (1000, np.inf), (-FAR, FAR), (-1e16, 1e16),
+    ],
+)  # fmt: skip
+def test_usual_numbers_are_controls_as_they_are(low: float, high: float) -> None:
+    controls = controls_of(spaces.Box(low, high, (1,), np.float64), "usual")
+    assert controls.fields[0].name == "action 1"
+    control = np.array([[-0.3], [0.1], [170.0]])
+    assert np.array_equal(controls.actions(control), control.clip(low, high))
+
+
+def test_whole_numbers_and_parts_are_shares_each_by_itself() -> None:
+    low, high = np.array([[0, -3], [7, 1000]]), np.array([[1000, 3], [7, 1010]])
+    part = spaces.Dict({"a": spaces.Box(low, high, dtype=np.int64), "b": spaces.Discrete(2)})
+    controls = controls_of(part, "mixed")
+    assert [f.name for f in controls.fields] == [
+        "a 1,1 from 0 (-1) to 1000 (1)", "a 1,2", "a 2,2 from 1000 (-1) to 1010 (1)",
+        "preference for b = 0", "preference for b = 1",
+    ]  # fmt: skip
+    assert [(f.low, f.high) for f in controls.fields[:3]] == [(-1, 1), (-3, 3), (-1, 1)]
+    rows = np.array([[-1, 2.7, 1, 0, 1], [0.0017, -9, 0.1, 1, 0]], dtype=np.float32)
+    one, other = controls.actions(rows)
+    assert one["a"].tolist() == [[0, 2], [7, 1010]]
+    assert other["a"].tolist() == [[501, -3], [7, 1006]], "shares are rounded"
+    assert (one["b"], other["b"], one["a"].dtype) == (1, 0, np.int64)
+
+
+@pytest.mark.filterwarnings("error")
+def test_bounds_of_half_the_size_are_taken_without_a_warning() -> None:
+    box = spaces.Box(np.float16(-50), np.float16(50), (2,), np.float16)
+    assert tried(box) == box
+    low, high = bounds_of_percepts(percepts_of(box, (), "half"))
+    assert (low.tolist(), high.tolist()) == ([-50, -50], [50, 50])
 
 
 def test_bounds_of_choices_are_nought_and_one() -> None:
