@@ -21,7 +21,8 @@ from cgtorch.graphs import ActionSet, Graphs, Skill, merged
 from cgtorch.ground.dry_run import kind
 from cgtorch.ground.errors import DataError, RunError, SettingsError
 from cgtorch.ground.files import notes_of, read_bytes, strict_json, tensors_of, write_bytes
-from cgtorch.ground.given import given_seed, known_options, of_kind
+from cgtorch.ground.given import given_path, given_seed, known_options, of_kind
+from cgtorch.ground.replacing import check_no_part
 
 MAX_BYTES = 2**30
 """The size of the largest file that `Search.load` reads."""
@@ -98,12 +99,16 @@ class Search:
         return Skill(name, merged(self.best.graphs), self.actions, max_transitions)
 
     def save(self, path: Path | str) -> None:
-        """Write the whole state of the search to one file; RunError if that is not possible."""
+        """Write the whole state of the search to one file; RunError if that is not possible.
+
+        That is also so if it would replace a file of a run.
+        """
+        check_no_part(output := given_path(path))
         numbers = torch.tensor([self.generation, self.best_fitness], dtype=torch.float64)
         best = population_tensors("best", self.best)
         found = {**state_tensors(self._state), **best, "numbers": numbers}
         about = {NOTE: json.dumps(_about(self.actions, self.settings))}
-        write_bytes(path, save({name: value.clone() for name, value in found.items()}, about))
+        write_bytes(output, save({name: value.clone() for name, value in found.items()}, about))
 
     @classmethod
     def load(cls, path: Path | str, actions: ActionSet, **settings: Any) -> Self:

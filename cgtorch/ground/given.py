@@ -16,15 +16,38 @@ from cgtorch.ground.errors import SettingsError
 T = TypeVar("T")
 SEEDS = -(2**63), 2**64 - 1
 """The least and the largest seed that torch takes."""
+LONGEST_NAME, LONGEST_PATH = 255, 4096  # bytes, as Linux takes them
 
 
 def given_path(value: object, what: str = "path") -> Path:
     """A path that is given as text or as an object such as a pathlib.Path."""
-    if isinstance(value, str | os.PathLike):
-        place = os.fspath(value)
-        if isinstance(place, str):
-            return Path(place)
-    raise SettingsError(f"{what} is {value!r:.60}; give a path as a text or a pathlib.Path")
+    place = os.fspath(value) if isinstance(value, str | os.PathLike) else value
+    if not isinstance(place, str):
+        raise SettingsError(f"{what} is {value!r:.60}; give a path as a text or a pathlib.Path")
+    try:
+        encoded = os.fsencode(place)
+    except UnicodeEncodeError:
+        encoded = b"\0"
+    if b"\0" in encoded:
+        raise SettingsError(f"{what} is {place!r:.60}, which no file can be called; give another")
+    longest = max(map(len, encoded.split(os.fsencode(os.sep))))
+    if longest > LONGEST_NAME or len(encoded) >= LONGEST_PATH:
+        raise SettingsError(
+            f"{what} is {place!r:.60} …, which is too long; give names of at most {LONGEST_NAME} "
+            f"bytes and a path of fewer than {LONGEST_PATH}"
+        )
+    return Path(place)
+
+
+def given_folder(value: object, what: str = "folder") -> Path:
+    """The path of a folder, which stays the same if the program goes to another one."""
+    path = given_path(value, what)
+    try:
+        return path.absolute()
+    except FileNotFoundError as e:
+        raise SettingsError(
+            f"{what} is {str(path)!r:.60}, and the current folder is gone; give a path from /"
+        ) from e
 
 
 def whole_number(value: object, what: str, least: int, most: int, bounds: str = "") -> int:

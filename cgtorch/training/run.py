@@ -21,11 +21,12 @@ from cgtorch.graphs.skill import A_SKILL
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import write_bytes
-from cgtorch.ground.given import a_function, given_path, known_options, of_kind, truth
+from cgtorch.ground.given import a_function, given_folder, given_path, known_options, of_kind, truth
+from cgtorch.ground.replacing import check_output
 from cgtorch.report import ProgressDisplay
+from cgtorch.report.console import LastingConsole
 from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import read_log
-from cgtorch.runs.replacing import check_output
 from cgtorch.runs.settings import Goal, RunSettings, defaults_of
 from cgtorch.runs.stored_run import SKILL, StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
@@ -136,10 +137,15 @@ class Run(StoredRun):
         own = {f.name for f in fields(kind)}
         rest |= known_options(RunSettings, {k: v for k, v in rest.items() if k not in own}, kind)
         settings = resumed(self, rest, rest)
-        with continued(self), ProgressDisplay(quiet=quiet or not ranks.first()) as display:
+        with continued(self), _progress(quiet) as display:
             work = prepared(self, settings, request)
             carry_out(work, display, watch)
         return type(self).of(work.run)
+
+
+def _progress(quiet: bool) -> ProgressDisplay:
+    """A display for a program, which goes on if nobody sees it."""
+    return ProgressDisplay(LastingConsole(), quiet or not ranks.first())
 
 
 def make(name: str, **settings: Any) -> "Domain[Any]":
@@ -207,10 +213,10 @@ def train(
     rest.setdefault("driver", driver_of(spec) if made is None else "")
     run_settings = RunSettings(**{**defaults_of(kind), **known_options(RunSettings, rest, kind)})
     usual = Path("runs") / f"seed-{run_settings.seed}"
-    place = usual if folder is None else given_path(folder, "folder")
+    place = given_folder(usual if folder is None else folder)
     with (
         ranks.together(),
-        ProgressDisplay(quiet=quiet or not ranks.first()) as display,
+        _progress(quiet) as display,
         begun(place, run_settings, domain_settings, request, made) as run,
     ):
         work = prepared(run, run_settings, request)
@@ -234,4 +240,4 @@ def open_run(
         CgtorchError: There is no run, it is damaged, or something of it is not given.
     """
     spec, made = (None, None) if domain is None else spec_of(domain)
-    return Run.of(read_run(given_path(folder, "folder"), specs_of(actions), made or spec))
+    return Run.of(read_run(given_folder(folder), specs_of(actions), made or spec))

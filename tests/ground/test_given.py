@@ -11,6 +11,7 @@ import torch
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.given import (
     a_function,
+    given_folder,
     given_path,
     given_seed,
     of_kind,
@@ -37,6 +38,31 @@ def test_a_path_is_a_text_or_an_object_that_stands_for_one() -> None:
         with pytest.raises(SettingsError, match=r"folder is .*; give a path as a text"):
             given_path(wrong, "folder")
     assert os.fspath(given_path("")) == "."
+
+
+def test_a_path_is_one_that_a_file_can_have() -> None:
+    for name in ("é" * 127, "x" * 255, os.fsdecode(b"\xff" * 255)):
+        assert not given_path(name).exists()
+    assert given_path("a/" * 2047) == Path("a/" * 2047)
+    for name in ("é" * 128, f"a/{'x' * 256}/b", "a/" * 2048):
+        with pytest.raises(SettingsError, match="too long; give names of at most 255 bytes"):
+            given_path(name)
+    for name in ("a\0b", "\ud800"):
+        with pytest.raises(SettingsError, match=r"path is .*, which no file can be called"):
+            given_path(name)
+
+
+def test_a_folder_stays_the_same_when_the_program_goes_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    assert given_folder("a") == gone / "a"
+    gone.rmdir()
+    assert given_folder("/a") == Path("/a")
+    with pytest.raises(SettingsError, match="the current folder is gone; give a path from /"):
+        given_folder("a")
 
 
 def test_whole_numbers_are_those_of_any_type() -> None:

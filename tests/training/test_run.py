@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -90,6 +91,50 @@ def test_a_report_replaces_no_file_unasked_and_never_one_of_the_run(
     assert log.read_bytes() == before
     whole.report(page, force=True)
     assert b"auto-1" in page.read_bytes()
+
+
+@pytest.mark.parametrize("part", ["run.json", "log.jsonl", "auto-1/skill.json"])
+def test_neither_a_skill_nor_a_search_replaces_a_file_of_a_run(
+    part: str, whole: cgtorch.Run
+) -> None:
+    path = whole.folder / part
+    before = path.read_bytes()
+    search = cgtorch.Search(whole.actions, population=6)
+    for write in (search.save, lambda path: cgtorch.save_skill(path, whole.skill)):
+        with pytest.raises(RunError, match=r"is a part of the run .*; choose another path"):
+            write(path)
+    assert path.read_bytes() == before
+
+
+def test_a_run_stays_the_same_in_another_folder(
+    cart: Any, whole: cgtorch.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(whole.folder.parent)
+    run = cgtorch.open_run(whole.folder.name, cart.Cart)
+    begun = cgtorch.train("tabletop", "begun", stage="S0", quiet=True, watch=lambda event: True)
+    monkeypatch.chdir(tmp_path)
+    assert (run.stages, len(run.log())) == (("auto-1",), len(whole.log()))
+    assert begun.log()
+    begun.resume(quiet=True, watch=lambda event: True)
+    assert not list(tmp_path.iterdir())
+
+
+UNSEEN = """
+import cgtorch
+run = cgtorch.train("tabletop", "run", stage="S0", population=40, watch=lambda event: True)
+print(run.settings.population, run.resume(watch=lambda event: True).stages)
+"""
+
+
+@pytest.mark.hostile
+def test_a_program_goes_on_when_nobody_reads_its_progress(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-c", UNSEEN], cwd=tmp_path, stdout=subprocess.PIPE, stderr=write
+    )
+    os.close(write)
+    assert (done.returncode, done.stdout) == (0, b"40 ()\n")
 
 
 def test_the_reference_run_tells_all_that_it_has() -> None:
@@ -218,6 +263,8 @@ def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:
         ({"quiet": "no"}, SettingsError, "quiet is 'no'; give True or False"),
         ({"folder": 5}, SettingsError, "folder is 5; give a path as a text or a pathlib.Path"),
         ({"folder": b"x"}, SettingsError, "folder is b'x'; give a path"),
+        ({"folder": "a\0b"}, SettingsError, "which no file can be called; give another"),
+        ({"folder": "x" * 256}, SettingsError, "is too long; give names of at most 255 bytes"),
     ],
 )
 def test_what_cannot_work_is_said_before_anything_is_written(
