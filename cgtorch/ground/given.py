@@ -5,6 +5,7 @@ Each function returns the value as what it should be, or raises a SettingsError 
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import fields
 from difflib import get_close_matches
 from numbers import Integral, Real
@@ -19,11 +20,19 @@ SEEDS = -(2**63), 2**64 - 1
 LONGEST_NAME, LONGEST_PATH = 255, 4096  # bytes, as Linux takes them
 
 
+def shown(value: object, most: int = 60) -> str:
+    """A value in a message, of so many characters at most, even if it cannot be written."""
+    try:
+        return f"{value!r:.{most}}"
+    except Exception:  # of an object of the user's, or a whole number of thousands of digits
+        return f"a value of type {type(value).__name__}"
+
+
 def given_path(value: object, what: str = "path") -> Path:
     """A path that is given as text or as an object such as a pathlib.Path."""
     place = os.fspath(value) if isinstance(value, str | os.PathLike) else value
     if not isinstance(place, str):
-        raise SettingsError(f"{what} is {value!r:.60}; give a path as a text or a pathlib.Path")
+        raise SettingsError(f"{what} is {shown(value)}; give a path as a text or a pathlib.Path")
     try:
         encoded = os.fsencode(place)
     except UnicodeEncodeError:
@@ -58,14 +67,16 @@ def whole_number(value: object, what: str, least: int, most: int, bounds: str = 
     if isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) <= most:
         return int(value)
     bounds = bounds or f"from {least} to {most}"
-    raise SettingsError(f"{what} is {value!r:.40}; give a whole number {bounds}")
+    raise SettingsError(f"{what} is {shown(value, 40)}; give a whole number {bounds}")
 
 
 def real_number(value: object, what: str, least: float = 0) -> float:
     """A number that is not below a bound; infinity is one, NaN is none."""
-    if isinstance(value, Real) and not isinstance(value, bool) and float(value) >= least:
-        return float(value)
-    raise SettingsError(f"{what} is {value!r:.40}; give a number of at least {least:g}")
+    if isinstance(value, Real) and not isinstance(value, bool):
+        with suppress(OverflowError):  # of whole numbers of hundreds of digits
+            if (number := float(value)) >= least:
+                return number
+    raise SettingsError(f"{what} is {shown(value, 40)}; give a number of at least {least:g}")
 
 
 def given_seed(value: object, what: str = "seed") -> int:
@@ -80,21 +91,21 @@ def truth(value: object, what: str) -> bool:
     except (ValueError, RuntimeError):  # it holds several
         found = None
     if not isinstance(found, int) or found not in (0, 1):
-        raise SettingsError(f"{what} is {value!r:.40}; give True or False")
+        raise SettingsError(f"{what} is {shown(value, 40)}; give True or False")
     return bool(found)
 
 
 def of_kind(value: object, kind: type[T], what: str, advice: str) -> T:
     """An object of a class; `advice` says where one comes from."""
     if not isinstance(value, kind):
-        raise SettingsError(f"{what} is {value!r:.60}; give {advice}")
+        raise SettingsError(f"{what} is {shown(value)}; give {advice}")
     return value
 
 
 def a_function(value: T, what: str) -> T:
     """Something that can be called."""
     if not callable(value):
-        raise SettingsError(f"{what} is {value!r:.60}; give a function")
+        raise SettingsError(f"{what} is {shown(value)}; give a function")
     return value
 
 

@@ -85,7 +85,7 @@ def test_seeds_are_those_that_torch_takes() -> None:
 def test_numbers_may_be_infinite_but_not_less_than_the_least() -> None:
     assert [real_number(x, "time") for x in (0, 2, np.float32(0.5))] == [0.0, 2.0, 0.5]
     assert real_number(float("inf"), "time") == float("inf")
-    for wrong in (float("nan"), -1, "1", True, None, 1j):
+    for wrong in (float("nan"), -1, "1", True, None, 1j, -(10**400), 10**400):
         with pytest.raises(SettingsError, match=r"time is .*; give a number of at least 0"):
             real_number(wrong, "time")
 
@@ -107,3 +107,17 @@ def test_objects_and_functions_are_those_that_are_wanted() -> None:
     assert a_function(len, "watch") is len
     with pytest.raises(SettingsError, match="watch is 3; give a function"):
         a_function(3, "watch")
+
+
+class Unspeakable:
+    """An object that cannot be written."""
+
+    def __repr__(self) -> str:
+        raise RuntimeError("unfinished")
+
+
+def test_a_value_that_cannot_be_written_is_told_by_its_type() -> None:
+    with pytest.raises(SettingsError, match="name is a value of type Unspeakable; give a text"):
+        of_kind(Unspeakable(), str, "name", "a text")
+    with pytest.raises(SettingsError, match="count is a value of type int; give a whole number"):
+        whole_number(10**5000, "count", 0, 9)

@@ -3,6 +3,7 @@
 import importlib.util
 import math
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -149,6 +150,15 @@ def test_the_reference_run_tells_all_that_it_has() -> None:
     assert run.evaluate(20, "near", 1).successes >= 15
     first = run.evaluate(20, "perimeter", 1, run.skills["S0"])
     assert first.successes < run.evaluate(20, "perimeter", 1).successes
+
+
+def test_a_run_its_domain_and_a_world_can_be_pickled() -> None:
+    run, domain = cgtorch.open_run(REFERENCE), cgtorch.make("tabletop")
+    world = domain.world(domain.tests("near"))
+    parts = pickle.loads(pickle.dumps((run, domain, world)))  # noqa: S301  they are one's own
+    other, second, place = parts
+    assert torch.equal(run.evaluate(20).succeeded, other.evaluate(20).succeeded)
+    assert (second.settings, place.num_scenarios) == (domain.settings, world.num_scenarios)
 
 
 @pytest.mark.parametrize("quiet", [True, False])

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from os.path import isdir, isfile  # which take any text for a path
 from pathlib import Path
-from types import MappingProxyType, UnionType
+from types import UnionType
 from typing import Any, TypeAlias, get_args, get_origin
 
 from cgtorch.ground.errors import RobotError
@@ -64,12 +64,10 @@ class RobotDescription:
     torso_joint: str | None
     torso_position: float | None
     body: tuple[str, ...] = ()
-    gripper_joints: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    capsules: Mapping[str, tuple[Capsule, ...]] = field(
-        default_factory=lambda: MappingProxyType({})
-    )
-    home: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    gains: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    gripper_joints: Mapping[str, float] = field(default_factory=dict)
+    capsules: Mapping[str, tuple[Capsule, ...]] = field(default_factory=dict)
+    home: Mapping[str, float] = field(default_factory=dict)
+    gains: Mapping[str, float] = field(default_factory=dict)
     excludes: tuple[tuple[str, ...], ...] = ()
 
     @property
@@ -134,8 +132,7 @@ class _Reader:
         if outer is tuple:
             return tuple(self.read(f"{what}[{i}]", x, inner[0]) for i, x in enumerate(value))
         if outer is Mapping:
-            read = {key: self.read(f"{what}[{key!r}]", x, inner[1]) for key, x in value.items()}
-            return MappingProxyType(read)
+            return {key: self.read(f"{what}[{key!r}]", x, inner[1]) for key, x in value.items()}
         return value
 
     def number(self, what: str, value: Any) -> float:
