@@ -30,8 +30,7 @@ from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import Goal, RunSettings, defaults_of
 from cgtorch.runs.stored_run import SKILL, StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
-from cgtorch.training.explained import background_of, explained
-from cgtorch.training.failures import Background, failures_of
+from cgtorch.training.explained import explained, failures_in
 from cgtorch.training.session import (
     TrainingRequest,
     UserWatch,
@@ -96,13 +95,13 @@ class Run(StoredRun):
     def failures(self, score: Score, skill: Skill | None = None) -> Failures:
         """Why a skill fails in a score of `evaluate`: kinds of failure, causes, and advice.
 
-        SettingsError for what is no score or no skill.
+        The skill is given if it is none of the run's. SettingsError for what is no score or no
+        skill, or for a score of another run or of another skill.
         """
         of_kind(score, Score, "score", "a Score, such as evaluate returns")
-        last = folder_of_last(self)
-        known = Background() if last is None else background_of(self, last)
-        tried = self.skill if skill is None else of_kind(skill, Skill, "skill", A_SKILL)
-        return failures_of(tried, self.domain, score, known)
+        if skill is not None:
+            of_kind(skill, Skill, "skill", A_SKILL)
+        return failures_in(self, score, skill)
 
     def report(self, path: Path | str, force: bool = False) -> None:
         """Write the run as one HTML page.
