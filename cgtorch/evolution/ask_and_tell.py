@@ -21,7 +21,7 @@ from cgtorch.graphs import ActionSet, Graphs, Skill, merged
 from cgtorch.ground.dry_run import kind
 from cgtorch.ground.errors import DataError, RunError, SettingsError
 from cgtorch.ground.files import notes_of, read_bytes, strict_json, tensors_of, write_bytes
-from cgtorch.ground.given import given_path, given_seed, known_options, of_kind
+from cgtorch.ground.given import given_path, given_seed, known_options, of_kind, shown
 from cgtorch.ground.replacing import check_no_part
 
 MAX_BYTES = 2**30
@@ -67,6 +67,7 @@ class Search:
         generator = Generator().manual_seed(given_seed(seed))
         state = initial_state(self.settings, actions, generator, seeds)
         self._state, self.best, self.best_fitness = state, state.best, state.best_fitness
+        self._asked = False
 
     @property
     def generation(self) -> int:
@@ -75,6 +76,7 @@ class Search:
 
     def ask(self) -> Graphs:
         """The P graphs to evaluate next; the same ones until `tell` is called."""
+        self._asked = True
         return ask(self._state).graphs
 
     def tell(
@@ -85,12 +87,19 @@ class Search:
         """Breed the next generation from the fitness (P,) of this one.
 
         More is better, and NaN is the worst. With `scores` (P, B), one column for each scenario or
-        objective, these choose the parents. DataError for other shapes, or for what is no numbers.
+        objective, these choose the parents. DataError for other shapes, for what is no numbers, or
+        if no one has asked for this generation.
         """
+        if not self._asked:
+            raise DataError(
+                f"fitness is told of generation {self.generation}, which nobody has asked for; "
+                "call ask, evaluate its graphs, and tell what they are worth"
+            )
         values = _numbers(fitness, "fitness is").float()
         scores = None if scores is None else _numbers(scores, "scores are")
         own = self.settings, self.actions, self._state.generator
         self._state = after = tell(self._state, values, *own, scores)
+        self._asked = False
         if after.best_fitness > self.best_fitness:
             self.best, self.best_fitness = after.best, after.best_fitness
 
@@ -128,6 +137,7 @@ class Search:
             if not 0 <= generation < 2**53:
                 raise ValueError(f"it has had {generation} generations")
             search._state = _state(tensors, actions, Generator(), int(generation))
+            search._asked = True  # perhaps before it was saved
         return search
 
 
@@ -142,8 +152,10 @@ def _numbers(values: Any, what: str) -> Tensor:
     try:
         dtype = None if hasattr(values, "dtype") else torch.float32
         found = torch.as_tensor(values, dtype=dtype).detach().cpu()
-    except (TypeError, ValueError, RuntimeError) as e:
-        raise DataError(f"{what} {values!r:.60}; give a tensor or a list of numbers") from e
+        if found.layout != torch.strided:
+            raise TypeError("a sparse tensor is not indexed as others are")
+    except (TypeError, ValueError, RuntimeError, OverflowError) as e:
+        raise DataError(f"{what} {shown(values)}; give a dense tensor or a list of numbers") from e
     if found.is_complex():
         raise DataError(f"{what} {kind(found)}; give real numbers")
     return found

@@ -12,7 +12,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.errors import CgtorchError, SettingsError
 
 T = TypeVar("T")
 SEEDS = -(2**63), 2**64 - 1
@@ -28,20 +28,22 @@ def shown(value: object, most: int = 60) -> str:
         return f"a value of type {type(value).__name__}"
 
 
-def given_path(value: object, what: str = "path") -> Path:
-    """A path that is given as text or as an object such as a pathlib.Path."""
+def given_path(
+    value: object, what: str = "path", error: type[CgtorchError] = SettingsError
+) -> Path:
+    """A path that is given as text or as an object such as a pathlib.Path; `error` for others."""
     place = os.fspath(value) if isinstance(value, str | os.PathLike) else value
     if not isinstance(place, str):
-        raise SettingsError(f"{what} is {shown(value)}; give a path as a text or a pathlib.Path")
+        raise error(f"{what} is {shown(value)}; give a path as a text or a pathlib.Path")
     try:
         encoded = os.fsencode(place)
     except UnicodeEncodeError:
         encoded = b"\0"
     if b"\0" in encoded:
-        raise SettingsError(f"{what} is {place!r:.60}, which no file can be called; give another")
+        raise error(f"{what} is {place!r:.60}, which no file can be called; give another")
     longest = max(map(len, encoded.split(os.fsencode(os.sep))))
     if longest > LONGEST_NAME or len(encoded) >= LONGEST_PATH:
-        raise SettingsError(
+        raise error(
             f"{what} is {place!r:.60} …, which is too long; give names of at most {LONGEST_NAME} "
             f"bytes and a path of fewer than {LONGEST_PATH}"
         )

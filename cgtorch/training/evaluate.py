@@ -105,10 +105,11 @@ def try_on(skill: Skill, domain: Domain[Any], scenarios: Any) -> Score:
     returns, solved = trial.returns, trial.succeeded
     if returns is not None:
         solved = returns >= domain.target_return
-    found: list[Any] = [trial.percepts, solved, returns]
+    percepts = trial.percepts
     if shared:
-        found = [x if x is None else ranks.all_gather(x, rows) for x in found]
-    return Score(scenarios, *found, skill)
+        percepts, solved = (ranks.all_gather(x, rows) for x in (percepts, solved))
+        returns = None if returns is None else ranks.all_gather(returns, rows)
+    return Score(scenarios, percepts, solved, returns, skill)
 
 
 def evaluate_skill(

@@ -5,6 +5,7 @@ of `RobotDescription`; `body`, `gripper_joints`, `capsules`, `home`, `gains` and
 optional.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from os.path import isdir, isfile  # which take any text for a path
@@ -14,6 +15,7 @@ from typing import Any, TypeAlias, get_args, get_origin
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_json
+from cgtorch.ground.given import given_path, shown
 from cgtorch.tabletop.kinematics.valid import MOST
 
 Capsule: TypeAlias = tuple[float, float, float, float, float, float, float]
@@ -190,16 +192,19 @@ def robot_files(
     Raises:
         RobotError: The description is none of these, or there is not exactly one URDF beside it.
     """
+    urdf = None if urdf is None else given_path(urdf, "urdf", RobotError)
     if description is None and urdf is not None:
-        return Path(urdf), Path(urdf).parent / DESCRIPTION
-    robot = DEFAULT if description is None else str(description)
-    words = Path(robot)
+        return urdf, urdf.parent / DESCRIPTION
+    robot = DEFAULT if description is None else description
+    if not isinstance(robot, str | os.PathLike):
+        raise RobotError(f"description is {shown(robot)}; give a path, or the name of a robot")
+    words = Path(robot := os.fspath(robot))
     if robot in built_in_robots():
         words = robots_folder() / robot / DESCRIPTION
     elif isdir(robot):
         words /= DESCRIPTION
     if urdf is not None:
-        return Path(urdf), words
+        return urdf, words
     if not isfile(words):
         raise RobotError(
             f"robot {str(description)!r} is no description, no folder with one and none of the "
