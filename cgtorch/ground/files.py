@@ -247,17 +247,29 @@ def notes_of(data: bytes) -> dict[str, Any]:
     return json.loads(data[_LENGTH : _LENGTH + length]).get("__metadata__") or {}
 
 
-def head_notes(path: Path) -> dict[str, Any]:
-    """The notes of a safetensors file, of which only the header is read; {} if it has none."""
+def head_of(path: Path) -> dict[str, Any]:
+    """The header of a safetensors file, of which nothing else is read; {} if it has none."""
     try:
         with path.open("rb") as file:
-            begin = file.read(_LENGTH)
-            length = int.from_bytes(begin, "little")
+            length = int.from_bytes(file.read(_LENGTH), "little")
             head = file.read(length) if length <= os.fstat(file.fileno()).st_size else b""
-        found = notes_of(begin + head)
-    except (OSError, ValueError, RecursionError, AttributeError):
+        found = json.loads(head)
+    except (OSError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def head_notes(path: Path) -> dict[str, Any]:
+    """The notes in the header of a safetensors file; {} if it has none."""
+    found = head_of(path).get("__metadata__")
+    return found if isinstance(found, dict) else {}
+
+
+def head_rows(path: Path, name: str) -> int | None:
+    """The number of rows of a tensor, by the header of a safetensors file; None if it has none."""
+    about = head_of(path).get(name)
+    shape = about.get("shape") if isinstance(about, dict) else None
+    return shape[0] if isinstance(shape, list) and shape and isinstance(shape[0], int) else None
 
 
 def _refuse(number: str) -> NoReturn:

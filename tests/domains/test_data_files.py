@@ -176,7 +176,7 @@ def row(text: str) -> str:
         (row('1,2,"3'), "'a.csv' is no CSV in UTF-8 (unexpected end of data); give another"),
         (
             row("1,2,3,4,5," + "9" * 200_000),
-            "has a cell of more than 131072 characters; shorten it",
+            "has a cell of more than 131072 characters; short",
         ),
         (GOOD.encode("utf-16"), "'a.csv' is no CSV in UTF-8 ('utf-8' codec can't decode byte"),
         (bytes(range(256)), "is no CSV in UTF-8"),
