@@ -18,6 +18,7 @@ from cgtorch.evolution.population import Population, population_from
 from cgtorch.evolution.selection import Evaluated
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.graphs import ActionSet, Graphs, Skill, merged
+from cgtorch.graphs.action_set import AN_ACTION_SET
 from cgtorch.ground.dry_run import kind
 from cgtorch.ground.errors import DataError, RunError, SettingsError
 from cgtorch.ground.files import notes_of, read_bytes, strict_json, tensors_of, write_bytes
@@ -143,7 +144,7 @@ class Search:
 
 def _given(actions: object, settings: dict[str, Any]) -> tuple[ActionSet, EvolutionSettings]:
     """The actions and settings of a search; SettingsError for those that cannot work."""
-    checked = of_kind(actions, ActionSet, "actions", "an ActionSet, such as domain.actions()")
+    checked = of_kind(actions, ActionSet, "actions", AN_ACTION_SET)
     return checked, EvolutionSettings(**known_options(EvolutionSettings, settings))
 
 

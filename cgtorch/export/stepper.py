@@ -15,10 +15,10 @@ from cgtorch.export.step import Nowhere, control_size_of
 from cgtorch.graphs import Action, Skill
 from cgtorch.graphs.action import own
 from cgtorch.graphs.clusters import Node, clusters_of
-from cgtorch.graphs.skill import A_SKILL
+from cgtorch.graphs.skill import a_skill
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import DataError, SettingsError
-from cgtorch.ground.given import given_seed, of_kind, shown, truth, whole_number
+from cgtorch.ground.given import given_seed, shown, truth, whole_number
 from cgtorch.simulation import most_steps
 
 MOST_STEPS = 2**63 - 1
@@ -68,8 +68,7 @@ class Stepper:
         on all levels after which the skill times out, by default `most_steps`. SettingsError for
         what is no skill or no whole number.
         """
-        of_kind(skill, Skill, "skill", A_SKILL)
-        actions = [action for _, action in skill.primitives]
+        actions = [action for _, action in a_skill(skill).primitives]
         self.skill, self._seed = skill, given_seed(seed)
         self._places, self._memory_size = memory_places(actions)
         sizes = {size for a in actions if (size := getattr(a, "percept_size", 0))}

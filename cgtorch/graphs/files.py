@@ -16,9 +16,9 @@ from typing import Any
 import networkx as nx
 
 from cgtorch.graphs.action import Action
-from cgtorch.graphs.action_set import ActionSet
+from cgtorch.graphs.action_set import AN_ACTION_SET, ActionSet
 from cgtorch.graphs.graphs import check_graph
-from cgtorch.graphs.skill import A_SKILL, MOST_TRANSITIONS, Skill, SubSkill
+from cgtorch.graphs.skill import MOST_TRANSITIONS, Skill, SubSkill, a_skill
 from cgtorch.graphs.view import View, from_networkx, to_networkx
 from cgtorch.ground.errors import ActionError, GraphError
 from cgtorch.ground.files import read_json, write_json
@@ -48,7 +48,7 @@ def save_skill(path: Path | str, skill: Skill) -> None:
     That is also so if it would replace a file of a run. SettingsError for what is no path or no
     skill.
     """
-    data = skill_to_dict(of_kind(skill, Skill, "skill", A_SKILL))
+    data = skill_to_dict(a_skill(skill))
     check_no_part(output := given_path(path), but=SO_FAR)
     write_json(output, data)
 
@@ -61,7 +61,7 @@ def load_skill(path: Path | str, actions: ActionSet | None = None) -> Skill:
     what is no path or no actions.
     """
     if actions is not None:
-        of_kind(actions, ActionSet, "actions", "an ActionSet, such as domain.actions()")
+        of_kind(actions, ActionSet, "actions", AN_ACTION_SET)
     data = read_json(path, MAX_BYTES, GraphError)
     try:
         return skill_from_dict(data, actions)

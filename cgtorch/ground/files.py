@@ -13,7 +13,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from cgtorch.ground.errors import CgtorchError, RunError
-from cgtorch.ground.given import given_path
+from cgtorch.ground.given import any_path
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -40,7 +40,7 @@ def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunEr
     Its folder must exist. If it cannot be written, or something is there that is no file, such as a
     folder or a device, `error` is raised and nothing is left behind.
     """
-    path = given_path(path)
+    path = any_path(path)
     _check_replaceable(path, error)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     with writing(path, error):
@@ -76,7 +76,7 @@ def write_json(path: Path | str, data: object, error: type[CgtorchError] = RunEr
 
 def read_bytes(path: Path | str, max_bytes: int, error: type[CgtorchError] = RunError) -> bytes:
     """Read a file; `error` if that fails, or if it has more than `max_bytes`."""
-    path = given_path(path)
+    path = any_path(path)
     try:
         if not path.is_file():
             raise error(f"cannot read {str(path)!r}, which is not a file; check the path")
@@ -245,6 +245,16 @@ def notes_of(data: bytes) -> dict[str, Any]:
     """The notes in the JSON header of a safetensors file that has been checked."""
     length = int.from_bytes(data[:_LENGTH], "little")
     return json.loads(data[_LENGTH : _LENGTH + length]).get("__metadata__") or {}
+
+
+def in_order(data: bytes) -> bytes:
+    """A safetensors file with its notes in order, as the package writes several in any order."""
+    length = int.from_bytes(data[:_LENGTH], "little")
+    head = json.loads(data[_LENGTH : _LENGTH + length])
+    head["__metadata__"] = dict(sorted((head.get("__metadata__") or {}).items()))
+    text = json.dumps(head, separators=(",", ":"), ensure_ascii=False).encode()
+    text = text.ljust(-(-len(text) // _LENGTH) * _LENGTH)
+    return len(text).to_bytes(_LENGTH, "little") + text + data[_LENGTH + length :]
 
 
 def head_of(path: Path) -> dict[str, Any]:

@@ -31,22 +31,28 @@ def shown(value: object, most: int = 60) -> str:
 def given_path(
     value: object, what: str = "path", error: type[CgtorchError] = SettingsError
 ) -> Path:
-    """A path that is given as text or as an object such as a pathlib.Path; `error` for others."""
-    place = os.fspath(value) if isinstance(value, str | os.PathLike) else value
-    if not isinstance(place, str):
-        raise error(f"{what} is {shown(value)}; give a path as a text or a pathlib.Path")
+    """A path that a file can have, as text or as an object such as a pathlib.Path, or `error`."""
+    path = any_path(value, what, error)
     try:
-        encoded = os.fsencode(place)
+        encoded = os.fsencode(path)
     except UnicodeEncodeError:
         encoded = b"\0"
     if b"\0" in encoded:
-        raise error(f"{what} is {place!r:.60}, which no file can be called; give another")
+        raise error(f"{what} is {str(path)!r:.60}, which no file can be called; give another")
     longest = max(map(len, encoded.split(os.fsencode(os.sep))))
     if longest > LONGEST_NAME or len(encoded) >= LONGEST_PATH:
         raise error(
-            f"{what} is {place!r:.60} …, which is too long; give names of at most {LONGEST_NAME} "
-            f"bytes and a path of fewer than {LONGEST_PATH}"
+            f"{what} is {str(path)!r:.60} …, which is too long; give names of at most "
+            f"{LONGEST_NAME} bytes and a path of fewer than {LONGEST_PATH}"
         )
+    return path
+
+
+def any_path(value: object, what: str = "path", error: type[CgtorchError] = SettingsError) -> Path:
+    """A path that is given, of which the system will say whether a file can have it."""
+    place = os.fspath(value) if isinstance(value, str | os.PathLike) else value
+    if not isinstance(place, str):
+        raise error(f"{what} is {shown(value)}; give a path as a text or a pathlib.Path")
     return Path(place)
 
 
@@ -97,6 +103,13 @@ def truth(value: object, what: str) -> bool:
     return bool(found)
 
 
+def says_true(answer: object) -> bool:
+    """Whether an answer is true, as `truth` takes it; anything else is not, and most are None."""
+    with suppress(SettingsError):
+        return answer is not None and truth(answer, "answer")
+    return False
+
+
 def of_kind(value: object, kind: type[T], what: str, advice: str) -> T:
     """An object of a class; `advice` says where one comes from."""
     if not isinstance(value, kind):
@@ -129,6 +142,11 @@ def _plain(value: Any) -> Any:
     """Lists as tuples, and numbers of other types, such as those of numpy, as those of Python."""
     if isinstance(value, list):
         return tuple(value)
+    if isinstance(value, dict):
+        return {name: _plain(each) for name, each in value.items()}
+    if getattr(value, "shape", None) == () and hasattr(value, "item"):
+        with suppress(RuntimeError, ValueError):  # of a tensor without data
+            return value.item()
     if isinstance(value, bool) or not isinstance(value, Real):
         return value
     return int(value) if isinstance(value, Integral) else float(value)

@@ -23,6 +23,7 @@ from cgtorch.ground.environment import Dataset, ScenarioBatch
 from cgtorch.ground.errors import GraphError, RunError
 from cgtorch.ground.files import (
     head_rows,
+    in_order,
     read_bytes,
     read_json,
     tensors_of,
@@ -46,7 +47,7 @@ Unfitted: TypeAlias = Mapping[str, Callable[[], nn.Module]]
 def save_tensors(path: Path, tensors: dict[str, Tensor], notes: dict[str, str]) -> None:
     """Write named tensors with notes, completely or not at all."""
     plain = {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
-    write_bytes(path, safetensors.torch.save(plain, metadata=notes))
+    write_bytes(path, in_order(safetensors.torch.save(plain, metadata=notes)))
 
 
 def load_tensors(path: Path, names: set[str]) -> dict[str, Tensor]:

@@ -11,11 +11,11 @@ from cgtorch.domains.domain import Domain
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.models import Models
 from cgtorch.graphs import Skill
-from cgtorch.graphs.skill import A_SKILL
+from cgtorch.graphs.skill import a_skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import Bounded
 from cgtorch.ground.errors import SettingsError
-from cgtorch.ground.given import given_seed, of_kind, whole_number
+from cgtorch.ground.given import given_seed, whole_number
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.settings import MOST_TRIED
 from cgtorch.simulation import rollout
@@ -140,7 +140,7 @@ def drawn(skill: Skill, domain: Domain[Any], kind: str, count: int, seed: int) -
     """
     if kind not in domain.kinds:
         raise SettingsError(f"unknown scenarios {kind!r}; use one of {', '.join(domain.kinds)}")
-    of_kind(skill, Skill, "skill", A_SKILL)
+    a_skill(skill)
     count = whole_number(count, "count", 0, MOST_TRIED)
     scenarios = domain.draw(kind, count, Generator().manual_seed(given_seed(seed)))
     check_percepts(skill, domain.world(scenarios[:1]).percept_size, kind)

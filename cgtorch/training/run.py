@@ -17,7 +17,7 @@ from cgtorch.domains.registry import (
     with_name,
 )
 from cgtorch.graphs import Skill, load_skill
-from cgtorch.graphs.skill import A_SKILL
+from cgtorch.graphs.skill import a_skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import write_bytes
@@ -25,7 +25,7 @@ from cgtorch.ground.given import a_function, given_folder, given_path, known_opt
 from cgtorch.ground.replacing import check_output
 from cgtorch.report import ProgressDisplay
 from cgtorch.report.console import LastingConsole
-from cgtorch.runs.chosen import folder_of_last
+from cgtorch.runs.chosen import folder_of_last, without_skill
 from cgtorch.runs.log import read_log
 from cgtorch.runs.settings import Goal, RunSettings, defaults_of
 from cgtorch.runs.stored_run import SKILL, StoredRun, read_run
@@ -59,7 +59,8 @@ class Run(StoredRun):
     def skill(self) -> Skill:
         """The last skill, or the best of an interrupted stage; RunError if there is none yet."""
         if (last := folder_of_last(self)) is None:
-            raise RunError(f"run {str(self.folder)!r} has no skill yet; resume it")
+            usual = "has no skill yet; resume it"
+            raise RunError(f"run {str(self.folder)!r} {without_skill(self, usual)}")
         return load_skill(last / SKILL, self.actions)
 
     @property
@@ -99,9 +100,7 @@ class Run(StoredRun):
         skill, or for a score of another run or of another skill.
         """
         of_kind(score, Score, "score", "a Score, such as evaluate returns")
-        if skill is not None:
-            of_kind(skill, Skill, "skill", A_SKILL)
-        return failures_in(self, score, skill)
+        return failures_in(self, score, None if skill is None else a_skill(skill))
 
     def report(self, path: Path | str, force: bool = False) -> None:
         """Write the run as one HTML page.
@@ -150,8 +149,10 @@ def _progress(quiet: bool) -> ProgressDisplay:
 def make(name: str, **settings: Any) -> "Domain[Any]":
     """A domain by the name that it has on the command line, with its own settings.
 
-    DomainError if there is none, SettingsError for a setting that it does not have.
+    DomainError if there is none, SettingsError for a setting that it does not have, or for what is
+    no name.
     """
+    of_kind(name, str, "name", "the name of a domain, such as 'tabletop', or call its class")
     kind = settings_class(name)
     return make_domain(name, kind(**known_options(kind, settings)))
 
@@ -196,7 +197,7 @@ def train(
     if watch is not None:
         a_function(watch, "watch")
     if target is not None:
-        Goal(target=target)  # which checks it
+        Goal(**known_options(Goal, {"target": target}))  # which checks it
     aim = {"target_return" if returns else "target": target}
     request, rest = TrainingRequest.taken_from({"stage": stage, **aim, **settings})
     given = {f.name: rest.pop(f.name) for f in fields(kind) if f.name in rest}

@@ -11,11 +11,13 @@ from reaching import world_of
 from support import Counter, random_graphs, random_skill, seeded
 from walking import chain, walking_actions
 
+from cgtorch.export import FORMATS
 from cgtorch.export.step import SkillStep
 from cgtorch.export.stepper import Request, Stepper
 from cgtorch.graphs import Action, ActionSet, Perceive, Skill, Step, SubSkill
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, DataError, SettingsError
+from cgtorch.report import draw_skill
 from cgtorch.simulation.rollout import most_steps, rollout
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
@@ -245,6 +247,13 @@ def test_a_step_s_controls_are_as_long_as_the_longest() -> None:
     assert SkillStep(skill, 7).control_size == 3
     alone = ActionSet(("Counter",), (Counter(),))
     assert SkillStep(Skill("S", chain(alone, "Counter"), alone), 7).control_size == 4
+
+
+@pytest.mark.parametrize("thing", [None, "s.json", 3, noting()[0].graph], ids=str)
+@pytest.mark.parametrize("use", [*FORMATS.values(), SkillStep, draw_skill])
+def test_what_is_no_skill_is_neither_exported_nor_drawn(use: Any, thing: Any) -> None:
+    with pytest.raises(SettingsError, match=r"skill is .*; give a Skill, such as load_skill"):
+        use(thing)
 
 
 @pytest.mark.parametrize(

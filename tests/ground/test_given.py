@@ -8,17 +8,21 @@ import numpy as np
 import pytest
 import torch
 
+from cgtorch.domains.gymnasium_settings import GymnasiumSettings
 from cgtorch.ground.errors import SettingsError
 from cgtorch.ground.given import (
     a_function,
     given_folder,
     given_path,
     given_seed,
+    known_options,
     of_kind,
     real_number,
+    says_true,
     truth,
     whole_number,
 )
+from cgtorch.runs.settings import Goal
 
 
 class Place:
@@ -43,8 +47,8 @@ def test_a_path_is_a_text_or_an_object_that_stands_for_one() -> None:
 def test_a_path_is_one_that_a_file_can_have() -> None:
     for name in ("é" * 127, "x" * 255, os.fsdecode(b"\xff" * 255)):
         assert not given_path(name).exists()
-    assert given_path("a/" * 2047) == Path("a/" * 2047)
-    for name in ("é" * 128, f"a/{'x' * 256}/b", "a/" * 2048):
+    assert given_path("a/" * 2048) == Path("a/" * 2048)
+    for name in ("é" * 128, f"a/{'x' * 256}/b", "a/" * 2049):
         with pytest.raises(SettingsError, match="too long; give names of at most 255 bytes"):
             given_path(name)
     for name in ("a\0b", "\ud800"):
@@ -98,6 +102,22 @@ def test_truth_may_be_in_an_array_but_no_text() -> None:
     for wrong in ("no", None, 2, [], 1.0, np.array([True, False]), torch.ones(2).bool()):
         with pytest.raises(SettingsError, match=r"done is .*; give True or False"):
             truth(wrong, "done")
+
+
+def test_an_answer_is_true_or_of_no_meaning() -> None:
+    for yes in (True, 1, np.bool_(True), torch.tensor(True)):
+        assert says_true(yes)
+    for no in (None, False, 0, 2, "yes", [1], np.ones(2), torch.ones(2)):
+        assert not says_true(no)
+
+
+def test_settings_are_plain_whatever_their_type() -> None:
+    given = {"target": np.float32(18), "rounds": torch.tensor(3), "minutes": np.array(2.5)}
+    found = known_options(Goal, given)
+    assert found == {"target": 18.0, "rounds": 3, "minutes": 2.5}
+    assert [type(each) for each in found.values()] == [float, int, float]
+    env = known_options(GymnasiumSettings, {"env": {"gain": np.float64(1)}})["env"]
+    assert type(env["gain"]) is float
 
 
 def test_objects_and_functions_are_those_that_are_wanted() -> None:

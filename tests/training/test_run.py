@@ -4,12 +4,14 @@ import importlib.util
 import math
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -255,6 +257,10 @@ def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:
         ({"device": "abacus"}, SettingsError, "device 'abacus' cannot be used"),
         ({"stage": "S9"}, SettingsError, "unknown stage 'S9'"),
         ({"domain": 3}, DomainError, "domain is 3; give a name"),
+        ({"domain": "CartPole-v1"}, DomainError, "such as 'gymnasium:CartPole-v1'$"),
+        ({"domain": gymnasium.Env}, DomainError, "such as 'gymnasium:CartPole-v1'$"),
+        ({"domain": gymnasium.make("Acrobot-v1")}, DomainError, "such as 'gymnasium:Acrobot-v1'$"),
+        ({"budget": {"motions": 1.5}}, SettingsError, "budget motions=1.5 is no limit; give whole"),
         ({"domain": "table"}, DomainError, "unknown domain 'table'"),
         ({"actions": ["Fly"]}, CgtorchError, "unknown action 'Fly'"),
         ({"actions": "Wait"}, SettingsError, "the text 'Wait', not a list of names; give a"),
@@ -283,6 +289,19 @@ def test_what_cannot_work_is_said_before_anything_is_written(
     with pytest.raises(error, match=message):
         cgtorch.train(**{"domain": "tabletop", "folder": tmp_path / "run", "quiet": True, **given})
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", [None, 3, object, cgtorch.Domain])
+def test_what_is_no_name_makes_no_domain(name: Any) -> None:
+    with pytest.raises(SettingsError, match=r"name is .*; give the name of a domain, such as"):
+        cgtorch.make(name)
+
+
+def test_a_run_whose_first_stage_is_lost_says_so(tmp_path: Path) -> None:
+    shutil.copytree(REFERENCE, tmp_path / "run")
+    shutil.rmtree(tmp_path / "run" / "S0")
+    with pytest.raises(RunError, match="has S1, but not S0, on which it builds; restore the"):
+        _ = cgtorch.open_run(tmp_path / "run").skill
 
 
 @pytest.mark.parametrize("folder", [None, 5, b"x", ["runs/a"]])
