@@ -10,8 +10,8 @@ import click
 
 from cgtorch.commands import common, outputs
 from cgtorch.ground.errors import SettingsError
+from cgtorch.ground.replacing import WHY, check_output, check_outputs
 from cgtorch.ground.statistics import wilson
-from cgtorch.runs.replacing import WHY, check_output, check_outputs
 from cgtorch.runs.settings import MOST_TRIED
 
 if TYPE_CHECKING:

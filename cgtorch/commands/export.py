@@ -8,7 +8,7 @@ import click
 
 from cgtorch.commands import common, outputs
 from cgtorch.commands.completion import SCENARIOS, one_of
-from cgtorch.runs.replacing import check_output
+from cgtorch.ground.replacing import check_output
 
 EXAMPLES = """\b
 Examples:

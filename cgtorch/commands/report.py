@@ -7,7 +7,7 @@ import click
 
 from cgtorch.commands import common, outputs
 from cgtorch.commands.completion import runs_or_skills
-from cgtorch.runs.replacing import check_output
+from cgtorch.ground.replacing import check_output
 
 EXAMPLES = """\b
 Examples:

@@ -11,7 +11,7 @@ from cgtorch.commands import common, outputs
 from cgtorch.commands.completion import runs_or_skills
 from cgtorch.commands.interrupts import interrupts
 from cgtorch.ground.errors import SettingsError
-from cgtorch.runs.replacing import check_output
+from cgtorch.ground.replacing import check_output
 
 if TYPE_CHECKING:
     from cgtorch.runs.chosen import Chosen

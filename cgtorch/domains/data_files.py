@@ -20,6 +20,7 @@ dataset is read, too.
 """
 
 import math
+import os
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -44,6 +45,7 @@ from cgtorch.ground.environment import Dataset
 from cgtorch.ground.errors import DataError
 from cgtorch.ground.fields import Field
 from cgtorch.ground.files import write_bytes
+from cgtorch.ground.given import given_path, shown
 
 NEXT = "next "
 FORMATS = (".csv", ".parquet")
@@ -62,11 +64,13 @@ def read_data(
     Raises:
         DataError: A file cannot be read, or holds something else than the fields' finite numbers.
     """
-    every = [paths] if isinstance(paths, str | Path) else [*paths]
-    d, u = len(percept), len(control)
+    several = isinstance(paths, Iterable) and not isinstance(paths, str | bytes | os.PathLike)
+    given: Any = paths if several else [paths]
+    every = [given_path(path, error=DataError) for path in given]
+    d, u = len(_fields(percept, "percept")), len(_fields(control, "control"))
     moved = torch.empty(0, d), torch.empty(0, u), torch.empty(0, d)
     found = Dataset(*moved, torch.empty(0, d), torch.empty(0, dtype=torch.bool))
-    for path in map(Path, every):
+    for path in every:
         if path.is_dir():
             found = found.extended(read_minari(path, percept, control))
         else:
@@ -83,8 +87,11 @@ def write_data(
     When they are read again, every number is the same in every bit. DataError if the file cannot
     be written, or if the data do not fit the D fields of a percept and the U fields of a control.
     """
-    units, form = units_of(percept, control), _form_of(Path(path))
-    d, u = len(percept), len(control)
+    path = given_path(path, error=DataError)
+    d, u = len(_fields(percept, "percept")), len(_fields(control, "control"))
+    units, form = units_of(percept, control), _form_of(path)
+    if not isinstance(dataset, Dataset):
+        raise DataError(f"dataset is {shown(dataset)}; give a Dataset, as read_data returns")
     if not dataset.whole(d) or dataset.control.shape[1] != u:
         raise DataError(f"the data to write have no {d} and {u} finite numbers a row; give such")
     moved = torch.cat([dataset.percept, dataset.control, dataset.next_percept], 1)
@@ -93,7 +100,7 @@ def write_data(
     values[len(moved) :, :d] = dataset.tested
     values[len(moved) :, -1] = dataset.succeeded.float()
     titles = [title_of(name, unit) for name, unit in units.items()]
-    table = as_csv(titles, values) if form == ".csv" else as_parquet(Path(path), titles, values)
+    table = as_csv(titles, values) if form == ".csv" else as_parquet(path, titles, values)
     write_bytes(path, table, DataError)
 
 
@@ -122,6 +129,13 @@ def units_of(percept: Sequence[Field], control: Sequence[Field]) -> dict[str, st
             )
         known |= titles
     return dict(pairs)
+
+
+def _fields(fields: Sequence[Field], what: str) -> Sequence[Field]:
+    """The fields of a percept or control; DataError for what are none."""
+    if isinstance(fields, Sequence) and all(isinstance(each, Field) for each in fields):
+        return fields
+    raise DataError(f"{what} is {shown(fields)}; give a list of Field, as domain.{what} is")
 
 
 def _form_of(path: Path) -> str:

@@ -79,6 +79,11 @@ def read_csv(path: Path, units: Mapping[str, str]) -> Table:
             values.append([_number(cell, name, place) for name, cell in cells])
             lines.append(rows.line_num)
     except (csv.Error, UnicodeDecodeError) as e:
+        if str(e).startswith("field larger than"):
+            raise DataError(
+                f"{where} has a cell of more than {csv.field_size_limit()} characters; shorten it, "
+                "or leave its column out"
+            ) from e
         raise DataError(f"{where} is no CSV in UTF-8 ({e}); give another file") from e
     table = torch.tensor(values, dtype=torch.float64).view(-1, len(names))
     return Table(where, "line", lines, names, table)

@@ -69,7 +69,7 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
     if ":" not in place and spec not in declared:
         raise DomainError(
             f"unknown domain {spec!r}; known are {', '.join(known_names())}, or give "
-            "'package.module:Class'"
+            f"'package.module:Class'{_of_gymnasium(spec)}"
         )
     entry = EntryPoint("domain", place, ENTRY_POINTS) if ":" in place else declared[spec]
     found = foreign(entry.load, f"cannot import domain {spec!r}", NOT_FOUND)
@@ -78,6 +78,16 @@ def domain_class(spec: str) -> type["Domain[Any]"]:
     if not (isinstance(found, type) and issubclass(found, Domain)):
         raise DomainError(f"domain {spec!r} is {found!r:.80}; give a subclass of cgtorch.Domain")
     return found
+
+
+def _of_gymnasium(given: Any) -> str:
+    """How an environment of Gymnasium is given, if it seems to be one: a name, object or class."""
+    name = given if isinstance(given, str) else getattr(getattr(given, "spec", None), "id", None)
+    environment = hasattr(given, "reset") and hasattr(given, "step")
+    if not environment and not re.fullmatch(r"[\w./:-]+-v\d+", str(name)):
+        return ""
+    named = f"{GYMNASIUM}:{name:.60}" if isinstance(name, str) else EXAMPLES[GYMNASIUM]
+    return f"; an environment of Gymnasium is given by its name, such as '{named}'"
 
 
 def driver_of(spec: str) -> str:
@@ -101,6 +111,7 @@ def spec_of(domain: Any) -> "tuple[str, Domain[Any] | None]":
     if not (isinstance(kind, type) and issubclass(kind, Domain | RobotDriver)):
         raise DomainError(
             f"domain is {domain!r:.60}; give a name, a Domain or RobotDriver, or a class of one"
+            f"{_of_gymnasium(domain)}"
         )
     spec = spec_of_class(kind)
     for name, place in _CLASSES.items():

@@ -18,10 +18,12 @@ from cgtorch.evolution.population import Population, population_from
 from cgtorch.evolution.selection import Evaluated
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.graphs import ActionSet, Graphs, Skill, merged
+from cgtorch.graphs.action_set import AN_ACTION_SET
 from cgtorch.ground.dry_run import kind
 from cgtorch.ground.errors import DataError, RunError, SettingsError
 from cgtorch.ground.files import notes_of, read_bytes, strict_json, tensors_of, write_bytes
-from cgtorch.ground.given import given_seed, known_options, of_kind
+from cgtorch.ground.given import given_path, given_seed, known_options, of_kind, shown
+from cgtorch.ground.replacing import check_no_part
 
 MAX_BYTES = 2**30
 """The size of the largest file that `Search.load` reads."""
@@ -66,6 +68,7 @@ class Search:
         generator = Generator().manual_seed(given_seed(seed))
         state = initial_state(self.settings, actions, generator, seeds)
         self._state, self.best, self.best_fitness = state, state.best, state.best_fitness
+        self._asked = False
 
     @property
     def generation(self) -> int:
@@ -74,6 +77,7 @@ class Search:
 
     def ask(self) -> Graphs:
         """The P graphs to evaluate next; the same ones until `tell` is called."""
+        self._asked = True
         return ask(self._state).graphs
 
     def tell(
@@ -84,12 +88,19 @@ class Search:
         """Breed the next generation from the fitness (P,) of this one.
 
         More is better, and NaN is the worst. With `scores` (P, B), one column for each scenario or
-        objective, these choose the parents. DataError for other shapes, or for what is no numbers.
+        objective, these choose the parents. DataError for other shapes, for what is no numbers, or
+        if no one has asked for this generation.
         """
+        if not self._asked:
+            raise DataError(
+                f"fitness is told of generation {self.generation}, which nobody has asked for; "
+                "call ask, evaluate its graphs, and tell what they are worth"
+            )
         values = _numbers(fitness, "fitness is").float()
         scores = None if scores is None else _numbers(scores, "scores are")
         own = self.settings, self.actions, self._state.generator
         self._state = after = tell(self._state, values, *own, scores)
+        self._asked = False
         if after.best_fitness > self.best_fitness:
             self.best, self.best_fitness = after.best, after.best_fitness
 
@@ -98,12 +109,16 @@ class Search:
         return Skill(name, merged(self.best.graphs), self.actions, max_transitions)
 
     def save(self, path: Path | str) -> None:
-        """Write the whole state of the search to one file; RunError if that is not possible."""
+        """Write the whole state of the search to one file; RunError if that is not possible.
+
+        That is also so if it would replace a file of a run.
+        """
+        check_no_part(output := given_path(path))
         numbers = torch.tensor([self.generation, self.best_fitness], dtype=torch.float64)
         best = population_tensors("best", self.best)
         found = {**state_tensors(self._state), **best, "numbers": numbers}
         about = {NOTE: json.dumps(_about(self.actions, self.settings))}
-        write_bytes(path, save({name: value.clone() for name, value in found.items()}, about))
+        write_bytes(output, save({name: value.clone() for name, value in found.items()}, about))
 
     @classmethod
     def load(cls, path: Path | str, actions: ActionSet, **settings: Any) -> Self:
@@ -123,12 +138,13 @@ class Search:
             if not 0 <= generation < 2**53:
                 raise ValueError(f"it has had {generation} generations")
             search._state = _state(tensors, actions, Generator(), int(generation))
+            search._asked = True  # perhaps before it was saved
         return search
 
 
 def _given(actions: object, settings: dict[str, Any]) -> tuple[ActionSet, EvolutionSettings]:
     """The actions and settings of a search; SettingsError for those that cannot work."""
-    checked = of_kind(actions, ActionSet, "actions", "an ActionSet, such as domain.actions()")
+    checked = of_kind(actions, ActionSet, "actions", AN_ACTION_SET)
     return checked, EvolutionSettings(**known_options(EvolutionSettings, settings))
 
 
@@ -137,8 +153,10 @@ def _numbers(values: Any, what: str) -> Tensor:
     try:
         dtype = None if hasattr(values, "dtype") else torch.float32
         found = torch.as_tensor(values, dtype=dtype).detach().cpu()
-    except (TypeError, ValueError, RuntimeError) as e:
-        raise DataError(f"{what} {values!r:.60}; give a tensor or a list of numbers") from e
+        if found.layout != torch.strided:
+            raise TypeError("a sparse tensor is not indexed as others are")
+    except (TypeError, ValueError, RuntimeError, OverflowError) as e:
+        raise DataError(f"{what} {shown(values)}; give a dense tensor or a list of numbers") from e
     if found.is_complex():
         raise DataError(f"{what} {kind(found)}; give real numbers")
     return found

@@ -19,6 +19,7 @@ from cgtorch.evolution.population import (
 from cgtorch.evolution.selection import Evaluated, lexicase
 from cgtorch.evolution.settings import EvolutionSettings
 from cgtorch.graphs import ActionSet, compacted, resized
+from cgtorch.graphs.action_set import AN_ACTION_SET
 from cgtorch.ground.dry_run import kind
 from cgtorch.ground.errors import DataError
 from cgtorch.ground.given import of_kind
@@ -69,8 +70,9 @@ def initial_state(
 
     Raises:
         GraphError: A seed has more nodes than `settings.capacity`.
-        SettingsError: The seeds are no population.
+        SettingsError: The seeds are no population, or something else is of another kind.
     """
+    check_kinds(settings, actions, generator)
     if seeds is None:
         population = _random(settings, actions, generator, settings.population)
     else:
@@ -78,6 +80,13 @@ def initial_state(
         sizes = settings.capacity, settings.initial_nodes, generator, settings.strategy
         population = slim(seeded_population(settings.population, seeds, actions, *sizes))
     return EvolutionState(population, 0, population[:1], float("-inf"), generator=generator)
+
+
+def check_kinds(settings: object, actions: object, generator: object) -> None:
+    """SettingsError unless these are what a search is made with."""
+    of_kind(settings, EvolutionSettings, "settings", "EvolutionSettings")
+    of_kind(actions, ActionSet, "actions", AN_ACTION_SET)
+    of_kind(generator, Generator, "generator", "a torch.Generator")
 
 
 def ask(state: EvolutionState) -> Population:

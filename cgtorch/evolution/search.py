@@ -17,7 +17,7 @@ import torch
 from torch import Generator, Tensor
 
 from cgtorch.evolution import compiled
-from cgtorch.evolution.evolution import EvolutionState, initial_state, next_state
+from cgtorch.evolution.evolution import EvolutionState, check_kinds, initial_state, next_state
 from cgtorch.evolution.fitness import Evaluation
 from cgtorch.evolution.operators import crossover, mutate
 from cgtorch.evolution.population import STRATEGY, Population, join, slim
@@ -25,9 +25,11 @@ from cgtorch.evolution.racing import race
 from cgtorch.evolution.selection import Evaluated
 from cgtorch.evolution.settings import EvolutionSettings, check_parts
 from cgtorch.graphs import Action, ActionSet, Graphs, SubSkill, check_action, widened
+from cgtorch.graphs.skill import MOST_TRANSITIONS
 from cgtorch.ground import distributed as ranks
-from cgtorch.ground.dry_run import check_environment
+from cgtorch.ground.dry_run import check_environment, check_methods
 from cgtorch.ground.environment import Counting, Environment
+from cgtorch.ground.given import whole_number
 from cgtorch.native.gpu import launcher_of
 from cgtorch.simulation import MAX_TRANSITIONS
 
@@ -116,10 +118,13 @@ def evolve(
         WorldError: In a dry run on two scenarios, the environment breaks its interface.
         ActionError: An action breaks its interface.
         SettingsError: A selection, crossover, mutation or fitness of the settings breaks its
-            interface.
+            interface, or something given is of another kind.
     """
+    check_kinds(settings, actions, generator)
+    max_transitions = whole_number(max_transitions, "max_transitions", 1, MOST_TRANSITIONS)
     begin = islands[0].generation if islands else 0
     first = environment(begin) if callable(environment) else environment
+    check_methods(first)
     if keep is None:
         keep = torch.zeros(first.num_scenarios, dtype=torch.bool)
     _dry_run(first, actions, settings, keep.device)

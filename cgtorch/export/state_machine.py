@@ -19,6 +19,7 @@ from cgtorch.export.text import filled
 from cgtorch.graphs import Action, Skill
 from cgtorch.graphs.action import memory_parts, own
 from cgtorch.graphs.clusters import Cluster, Node, clusters_of
+from cgtorch.graphs.skill import a_skill
 from cgtorch.ground.errors import ActionError
 from cgtorch.simulation import most_steps
 
@@ -33,7 +34,7 @@ def to_state_machine(skill: Skill) -> bytes:
 
     All names are written as quoted strings, so nothing in a skill becomes code.
     """
-    clusters, primitives = clusters_of(skill), skill.primitives
+    clusters, primitives = clusters_of(a_skill(skill)), skill.primitives
     plain = {id(action): own(action, "plain_module") for _, action in primitives}
     asks = [action for _, action in primitives if own(action, "request")]
     texts = {name: _source(name) for name in dict.fromkeys([PLAIN, *plain.values()]) if name}

@@ -11,8 +11,11 @@ from torch import Tensor, nn
 
 from cgtorch.graphs import Action, Skill, Step
 from cgtorch.graphs.action import own
+from cgtorch.graphs.files import LARGEST
+from cgtorch.graphs.skill import a_skill
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, SettingsError
+from cgtorch.ground.given import whole_number
 from cgtorch.simulation import most_steps
 from cgtorch.simulation.program import SUCCESS, TIMEOUT, Program, compile_graphs
 from cgtorch.simulation.torch_engine import Frames, advance, first_frames
@@ -155,11 +158,12 @@ class SkillStep(nn.Module):
 
         Raises:
             ActionError: An action is neither a built-in routine nor one that only computes.
-            SettingsError: D is not given and cannot be inferred.
+            SettingsError: What is given is no skill, or D is neither given nor can be inferred.
         """
         super().__init__()
-        self.name, self.max_transitions = skill.name, skill.max_transitions
-        self.percept_size = _percept_size(skill) if percept_size is None else percept_size
+        self.name, self.max_transitions = a_skill(skill).name, skill.max_transitions
+        size = _percept_size(skill) if percept_size is None else percept_size
+        self.percept_size = whole_number(size, "percept_size", 0, LARGEST)
         self.control_size = control_size_of(skill)
         most = most_steps(skill.actions, skill.max_transitions)
         self.max_steps = most if max_steps is None else max_steps

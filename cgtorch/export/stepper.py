@@ -15,13 +15,15 @@ from cgtorch.export.step import Nowhere, control_size_of
 from cgtorch.graphs import Action, Skill
 from cgtorch.graphs.action import own
 from cgtorch.graphs.clusters import Node, clusters_of
-from cgtorch.graphs.skill import A_SKILL
+from cgtorch.graphs.skill import a_skill
 from cgtorch.ground.environment import Environment, Lanes
-from cgtorch.ground.errors import DataError
-from cgtorch.ground.given import given_seed, of_kind, truth, whole_number
+from cgtorch.ground.errors import DataError, SettingsError
+from cgtorch.ground.given import given_seed, shown, truth, whole_number
 from cgtorch.simulation import most_steps
 
 MOST_STEPS = 2**63 - 1
+NO_ROW = str, bytes, bytearray, dict, set, frozenset
+"""Kinds of objects over which one can go, but not as over a row of numbers."""
 ROUTINES = {"control": Step, "perceive": Perceive, "test": Test}
 
 
@@ -66,11 +68,11 @@ class Stepper:
         on all levels after which the skill times out, by default `most_steps`. SettingsError for
         what is no skill or no whole number.
         """
-        of_kind(skill, Skill, "skill", A_SKILL)
-        actions = [action for _, action in skill.primitives]
+        actions = [action for _, action in a_skill(skill).primitives]
         self.skill, self._seed = skill, given_seed(seed)
         self._places, self._memory_size = memory_places(actions)
-        self._percept_size = max([0, *(getattr(a, "percept_size", 0) for a in actions)])
+        sizes = {size for a in actions if (size := getattr(a, "percept_size", 0))}
+        self._percept_size, self._alike = max(sizes, default=0), len(sizes) == 1
         self._requests: dict[State, Request] = {}
         most = most_steps(skill.actions, skill.max_transitions)
         if max_steps is not None:
@@ -83,9 +85,9 @@ class Stepper:
     def act(self, percept: Sequence[float] | Tensor, done: bool = True) -> Request:
         """The next request at a percept (D,), after the last one succeeded or failed.
 
-        DataError for a percept that is not a row of D finite numbers, SettingsError for a `done`
-        that is neither true nor false, ActionError if an action asks its environment for more than
-        a robot has.
+        DataError for a percept that is not a row of D finite numbers, as its networks read them,
+        SettingsError for a `done` that is neither true nor false, ActionError if an action asks its
+        environment for more than a robot has.
         """
         seen, done = self._row(percept), truth(done, "done")
         try:
@@ -113,15 +115,29 @@ class Stepper:
             request = replace(request, control=tuple(state.control(self._userdata)))
         return request
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy has; SettingsError within an episode, whose course cannot be copied."""
+        if self._walk is not None:
+            raise SettingsError(
+                "this Stepper is within an episode, which cannot be copied or pickled; do so "
+                "before its first act or after the end, or make another of its skill"
+            )
+        return vars(self)
+
     def _row(self, percept: Sequence[float] | Tensor) -> list[float]:
-        values: Any = percept.tolist() if isinstance(percept, Tensor) else percept
+        values: Any = percept
         try:
+            if isinstance(values, NO_ROW):
+                raise TypeError("its elements are no numbers in an order")
+            values = values.tolist() if isinstance(values, Tensor) else values
             seen = [float(x) for x in values]
-        except (TypeError, ValueError) as e:
-            raise DataError(f"percept is {percept!r:.80}; give one row of numbers") from e
-        if len(seen) < self._percept_size or not all(map(isfinite, seen)):
+        except (TypeError, ValueError, OverflowError, RuntimeError) as e:
+            raise DataError(f"percept is {shown(percept, 80)}; give one row of numbers") from e
+        size, needed = len(seen), self._percept_size
+        if size < needed or (self._alike and size > needed) or not all(map(isfinite, seen)):
+            wanted = f"{needed}" if self._alike else f"{needed} or more"
             raise DataError(
-                f"percept is {seen!r:.200}; give {self._percept_size} or more finite numbers"
+                f"percept is {seen!r:.200}, {size} numbers; give {wanted} finite numbers"
             )
         return seen
 

@@ -8,12 +8,13 @@ import jinja2
 
 from cgtorch.graphs import Skill, skill_to_dict
 from cgtorch.graphs.clusters import clusters_of
+from cgtorch.graphs.skill import a_skill
 from cgtorch.ground.errors import printable
 
 
 def to_json(skill: Skill) -> bytes:
     """The same as `cgtorch.graphs.save_skill` writes and `load_skill` reads."""
-    return json.dumps(skill_to_dict(skill), indent=1).encode() + b"\n"
+    return json.dumps(skill_to_dict(a_skill(skill)), indent=1).encode() + b"\n"
 
 
 def to_dot(skill: Skill) -> bytes:
@@ -55,7 +56,7 @@ def filled(template: str, **values: Any) -> bytes:
 
 
 def _drawing(template: str, skill: Skill) -> bytes:
-    clusters = clusters_of(skill)
+    clusters = clusters_of(a_skill(skill))
     starts = {cluster.key: cluster.start for cluster in clusters}
     callers = [node for cluster in clusters for node in cluster.nodes.values() if node.runs]
     return filled(template, skill=skill, clusters=clusters, starts=starts, callers=callers)

@@ -10,6 +10,8 @@ from torch import Generator, Tensor
 from cgtorch.graphs.action import Action
 from cgtorch.ground.errors import ActionError
 
+AN_ACTION_SET = "an ActionSet, such as domain.actions()"
+
 
 @dataclass(frozen=True)
 class ActionSet:

@@ -16,13 +16,14 @@ from typing import Any
 import networkx as nx
 
 from cgtorch.graphs.action import Action
-from cgtorch.graphs.action_set import ActionSet
+from cgtorch.graphs.action_set import AN_ACTION_SET, ActionSet
 from cgtorch.graphs.graphs import check_graph
-from cgtorch.graphs.skill import A_SKILL, MOST_TRANSITIONS, Skill, SubSkill
+from cgtorch.graphs.skill import MOST_TRANSITIONS, Skill, SubSkill, a_skill
 from cgtorch.graphs.view import View, from_networkx, to_networkx
 from cgtorch.ground.errors import ActionError, GraphError
 from cgtorch.ground.files import read_json, write_json
-from cgtorch.ground.given import of_kind
+from cgtorch.ground.given import given_path, of_kind
+from cgtorch.ground.replacing import SO_FAR, check_no_part
 
 FORMAT, VERSION = "cgtorch-skill", 2
 MAX_BYTES = 32 * 2**20
@@ -44,9 +45,12 @@ _KIND = {str: "text", int: "a whole number", list: "a list", dict: "an object"}
 def save_skill(path: Path | str, skill: Skill) -> None:
     """Write a skill file, completely or not at all; RunError if it cannot be written.
 
-    SettingsError for what is no path or no skill.
+    That is also so if it would replace a file of a run. SettingsError for what is no path or no
+    skill.
     """
-    write_json(path, skill_to_dict(of_kind(skill, Skill, "skill", A_SKILL)))
+    data = skill_to_dict(a_skill(skill))
+    check_no_part(output := given_path(path), but=SO_FAR)
+    write_json(output, data)
 
 
 def load_skill(path: Path | str, actions: ActionSet | None = None) -> Skill:
@@ -57,7 +61,7 @@ def load_skill(path: Path | str, actions: ActionSet | None = None) -> Skill:
     what is no path or no actions.
     """
     if actions is not None:
-        of_kind(actions, ActionSet, "actions", "an ActionSet, such as domain.actions()")
+        of_kind(actions, ActionSet, "actions", AN_ACTION_SET)
     data = read_json(path, MAX_BYTES, GraphError)
     try:
         return skill_from_dict(data, actions)
@@ -113,10 +117,14 @@ def skill_from_dict(data: object, actions: ActionSet | None = None) -> Skill:
     """A skill from the plain data of a skill file; see `load_skill`."""
     if not isinstance(data, Mapping) or data.get("format") != FORMAT:
         found = data.get("format") if isinstance(data, Mapping) else data
-        raise GraphError(f"not a skill file: format is {_short(found)}, not {FORMAT!r}")
+        raise GraphError(
+            f"not a skill file: format is {_short(found)}, not {FORMAT!r}; give a file that "
+            "save_skill or cgtorch-export wrote"
+        )
     if data.get("version") != VERSION or isinstance(data["version"], bool):
         raise GraphError(
-            f"skill file of version {_short(data.get('version'))}; this cgtorch reads {VERSION}"
+            f"skill file of version {_short(data.get('version'))}, this cgtorch reads {VERSION}; "
+            "use the version that wrote it"
         )
     _check_keys(data, _FILE, "the skill file")
     entries: Mapping[str, object] = data["skills"]

@@ -87,6 +87,11 @@ class Skill:
         return 1 + max((s.depth for s in self.sub_skills.values()), default=0)
 
 
+def a_skill(value: object) -> Skill:
+    """A skill that is given; SettingsError for anything else."""
+    return of_kind(value, Skill, "skill", A_SKILL)
+
+
 class SubSkill(Action):
     """An earlier skill as a node (section IV-A), which runs to its own end.
 

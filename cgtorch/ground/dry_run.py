@@ -15,6 +15,7 @@ from torch import Tensor
 
 from cgtorch.ground.environment import Environment, Lanes, Named, Rewarded, start_lanes
 from cgtorch.ground.errors import CgtorchError, DomainError, WorldError
+from cgtorch.ground.given import shown
 
 ROWS = 2
 MOTIONS = 3  # until it is said that a world repeats itself
@@ -127,6 +128,18 @@ def expect_lanes(
             )
 
 
+METHODS = "start", "step", "observe", "success"
+
+
+def check_methods(environment: object) -> None:
+    """WorldError for what is no environment at all, without a trial."""
+    if isinstance(environment, type) or not all(hasattr(environment, each) for each in METHODS):
+        raise WorldError(
+            f"environment is {shown(environment)}; give an Environment, such as "
+            "domain.world(scenarios) returns"
+        )
+
+
 def check_environment(environment: Environment, device: torch.device | str = "cpu") -> None:
     """Try each method of an environment on two of its scenarios; WorldError if one is wrong."""
     name, parts = type(environment).__name__, getattr(environment, "made_of", {})
@@ -222,8 +235,9 @@ def check_default_type(who: str) -> None:
     """DomainError if code of the user's has changed the type that torch gives to new tensors."""
     if (given := torch.get_default_dtype()) != torch.float32:
         raise DomainError(
-            f"{who} sets torch's default type to {given}, in which skills cannot be computed; "
-            "leave it at torch.float32, and give tensors of yours their type (dtype=...)"
+            f"torch's default type is {given}, as {who} or your program sets it, and skills cannot "
+            "be computed in it; leave it at torch.float32, and give tensors of yours their type "
+            "(dtype=...)"
         )
 
 

@@ -13,7 +13,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from cgtorch.ground.errors import CgtorchError, RunError
-from cgtorch.ground.given import given_path
+from cgtorch.ground.given import any_path
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -40,7 +40,7 @@ def write_bytes(path: Path | str, data: bytes, error: type[CgtorchError] = RunEr
     Its folder must exist. If it cannot be written, or something is there that is no file, such as a
     folder or a device, `error` is raised and nothing is left behind.
     """
-    path = given_path(path)
+    path = any_path(path)
     _check_replaceable(path, error)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     with writing(path, error):
@@ -76,7 +76,7 @@ def write_json(path: Path | str, data: object, error: type[CgtorchError] = RunEr
 
 def read_bytes(path: Path | str, max_bytes: int, error: type[CgtorchError] = RunError) -> bytes:
     """Read a file; `error` if that fails, or if it has more than `max_bytes`."""
-    path = given_path(path)
+    path = any_path(path)
     try:
         if not path.is_file():
             raise error(f"cannot read {str(path)!r}, which is not a file; check the path")
@@ -247,17 +247,39 @@ def notes_of(data: bytes) -> dict[str, Any]:
     return json.loads(data[_LENGTH : _LENGTH + length]).get("__metadata__") or {}
 
 
-def head_notes(path: Path) -> dict[str, Any]:
-    """The notes of a safetensors file, of which only the header is read; {} if it has none."""
+def in_order(data: bytes) -> bytes:
+    """A safetensors file with its notes in order, as the package writes several in any order."""
+    length = int.from_bytes(data[:_LENGTH], "little")
+    head = json.loads(data[_LENGTH : _LENGTH + length])
+    head["__metadata__"] = dict(sorted((head.get("__metadata__") or {}).items()))
+    text = json.dumps(head, separators=(",", ":"), ensure_ascii=False).encode()
+    text = text.ljust(-(-len(text) // _LENGTH) * _LENGTH)
+    return len(text).to_bytes(_LENGTH, "little") + text + data[_LENGTH + length :]
+
+
+def head_of(path: Path) -> dict[str, Any]:
+    """The header of a safetensors file, of which nothing else is read; {} if it has none."""
     try:
         with path.open("rb") as file:
-            begin = file.read(_LENGTH)
-            length = int.from_bytes(begin, "little")
+            length = int.from_bytes(file.read(_LENGTH), "little")
             head = file.read(length) if length <= os.fstat(file.fileno()).st_size else b""
-        found = notes_of(begin + head)
-    except (OSError, ValueError, RecursionError, AttributeError):
+        found = json.loads(head)
+    except (OSError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def head_notes(path: Path) -> dict[str, Any]:
+    """The notes in the header of a safetensors file; {} if it has none."""
+    found = head_of(path).get("__metadata__")
+    return found if isinstance(found, dict) else {}
+
+
+def head_rows(path: Path, name: str) -> int | None:
+    """The number of rows of a tensor, by the header of a safetensors file; None if it has none."""
+    about = head_of(path).get(name)
+    shape = about.get("shape") if isinstance(about, dict) else None
+    return shape[0] if isinstance(shape, list) and shape and isinstance(shape[0], int) else None
 
 
 def _refuse(number: str) -> NoReturn:

@@ -17,6 +17,7 @@ from cgtorch.graphs import (
     Test,
 )
 from cgtorch.graphs.clusters import Cluster, Edge, Node, clusters_of
+from cgtorch.graphs.skill import a_skill
 from cgtorch.ground.errors import printable
 from cgtorch.report.layout import Box, Placement, Point, Route, pieces, place
 
@@ -60,7 +61,7 @@ def draw_skill(skill: Skill) -> "Figure":
     ends in a small named mark; edges that lead back up are brown. Artists of nodes, edges and ends
     have a gid: "node:", "edge:" or "end:", the path, then their key.
     """
-    return draw_clusters(clusters_of(skill))
+    return draw_clusters(clusters_of(a_skill(skill)))
 
 
 def draw_clusters(clusters: Sequence[Cluster]) -> "Figure":

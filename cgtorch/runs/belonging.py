@@ -1,13 +1,15 @@
 """Whether a run, its parts and its domain belong together, as far as its files tell.
 
 A skill file has the name of its stage, or in a round that accepted none that of an earlier one.
-Other files have the seed of the run in their notes, and run.json names the numbers of percepts and
-controls under "percept" and "control". Of these, the seed and the names may be missing, as in runs
-of older versions.
+Other files have the seed of the run and the name of the skill beside them in their notes, and marks
+of the models that were learned. The file run.json names the numbers of percepts and controls under
+"percept" and "control". All but the first may be missing, as in runs of older versions.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,9 @@ from cgtorch.ground.errors import CgtorchError, DomainError, RunError
 from cgtorch.ground.files import head_notes, read_json
 
 SEEDED = "data", "aside", "known", "seen", "specialists"
-"""The files of a stage whose notes have the seed of the run."""
+"""The files of a stage whose notes have the seed of the run, and the name of its skill."""
+MODELS = "gamma", "classifier"
+"""The files of a stage whose marks are in the notes of `aside`."""
 MOST = 300  # characters of names in a message
 
 
@@ -54,8 +58,13 @@ def check_fields(run: Path, about: Mapping[str, Any], domain: Domain[Any]) -> No
         )
 
 
+def mark_of(model: Path) -> str:
+    """The mark of a model: a digest of its file's notes, as each fit has a report of its own."""
+    return sha256(json.dumps(head_notes(model)).encode()).hexdigest()[:16]
+
+
 def check_parts(run: Path, stages: Sequence[str], rounds: Sequence[str], seed: int) -> None:
-    """RunError if a stage of a run holds another one's skill, or files of a run of another seed.
+    """RunError if a stage of a run holds parts of another one, or of a run of another seed.
 
     A round that accepted no skill holds one of before. Files that cannot be read are left to those
     who need them.
@@ -68,12 +77,24 @@ def check_parts(run: Path, stages: Sequence[str], rounds: Sequence[str], seed: i
                 f"{str(skill)!r} holds skill {name!r:.80}, not {stage!r}: its folder was moved or "
                 "mixed with another; restore it"
             )
-        for part in SEEDED:
+        notes = {part: head_notes(run / stage / f"{part}.safetensors") for part in SEEDED}
+        for part, about in notes.items():
             path = run / stage / f"{part}.safetensors"
-            if (made := head_notes(path).get("seed")) not in (None, str(seed)):
+            if (made := about.get("seed")) not in (None, str(seed)):
                 raise RunError(
                     f"{str(path)!r} was made with seed {made!s:.20}, and run.json says {seed}: one "
                     "of them is of another run; restore it"
+                )
+            if name and (made := about.get("skill")) not in (None, name):
+                raise RunError(
+                    f"{str(path)!r} was written with skill {made!s:.80}, not with that of "
+                    f"{stage!r}: it is of another stage; restore it"
+                )
+        for part in MODELS:
+            path, mark = run / stage / f"{part}.safetensors", notes["aside"].get(part)
+            if mark is not None and path.is_file() and mark_of(path) != mark:
+                raise RunError(
+                    f"{str(path)!r} is not the model that was learned for {stage!r}; restore it"
                 )
 
 

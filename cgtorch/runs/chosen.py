@@ -89,6 +89,16 @@ def folder_of_last(run: StoredRun) -> Path | None:
     return begun[-1].parent if begun else None
 
 
+def without_skill(run: StoredRun, usual: str) -> str:
+    """What a run without a last skill is, and what to do; `usual` unless a stage is lost."""
+    stages = [*run.domain.stages]
+    there = [name for name in stages if (run.folder / name / SKILL).is_file()]
+    if not there:
+        return usual
+    lost = next(name for name in stages if name not in there)
+    return f"has {there[0]}, but not {lost}, on which it builds; restore the folder of {lost}"
+
+
 def last_skill(
     path: Path, trusted: Sequence[str] = (), domain: str | None = None
 ) -> tuple[StoredRun, Skill]:
@@ -99,10 +109,11 @@ def last_skill(
     if (path / "run.json").is_file():
         run = read_run(path, trusted, domain)
         if (last := folder_of_last(run)) is None:
-            raise RunError(
-                f"run {str(path)!r} has no finished stage or round, and no skill of an interrupted "
-                f"one; finish one with {resuming(run)}"
+            usual = (
+                "has no finished stage or round, and no skill of an interrupted one; finish one "
+                f"with {resuming(run)}"
             )
+            raise RunError(f"run {str(path)!r} {without_skill(run, usual)}")
         return run, load_skill(last / SKILL, run.actions)
     if (path / SKILL).is_file():
         run = read_run(path.absolute().parent, trusted, domain)  # also of "."

@@ -21,14 +21,24 @@ from cgtorch.evolution import Population, population_from
 from cgtorch.graphs import ActionSet, Graphs, load_skill, save_skill
 from cgtorch.ground.environment import Dataset, ScenarioBatch
 from cgtorch.ground.errors import GraphError, RunError
-from cgtorch.ground.files import read_bytes, read_json, tensors_of, write_bytes, write_json
+from cgtorch.ground.files import (
+    head_rows,
+    in_order,
+    read_bytes,
+    read_json,
+    tensors_of,
+    write_bytes,
+    write_json,
+)
 from cgtorch.improvement.events import SkillAccepted
 from cgtorch.improvement.setup import Progress
+from cgtorch.runs.belonging import MODELS, mark_of
 from cgtorch.runs.stored_run import StoredRun
 from cgtorch.svm import Choice, LearningCurve, load_model_and_report, save_model
 
 GAMMA, CLASSIFIER = "gamma.safetensors", "classifier.safetensors"
 DATA, ASIDE, KNOWN = "data.safetensors", "aside.safetensors", "known.safetensors"
+SEEN = "seen.safetensors"
 MAX_BYTES = 2**30
 Unfitted: TypeAlias = Mapping[str, Callable[[], nn.Module]]
 """Functions that make unfitted models, by class name; see `Models.unfitted`."""
@@ -37,7 +47,7 @@ Unfitted: TypeAlias = Mapping[str, Callable[[], nn.Module]]
 def save_tensors(path: Path, tensors: dict[str, Tensor], notes: dict[str, str]) -> None:
     """Write named tensors with notes, completely or not at all."""
     plain = {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
-    write_bytes(path, safetensors.torch.save(plain, metadata=notes))
+    write_bytes(path, in_order(safetensors.torch.save(plain, metadata=notes)))
 
 
 def load_tensors(path: Path, names: set[str]) -> dict[str, Tensor]:
@@ -80,9 +90,10 @@ def save_knowledge(folder: Path, knowledge: Knowledge, notes: dict[str, str]) ->
     save_tensors(folder / DATA, vars(knowledge.dataset), notes)
     said = [a.reason for a in knowledge.acceptances or ()]
     learned = dict(zip(("learned_gamma", "learned_classifier"), said, strict=False))
-    save_tensors(folder / ASIDE, vars(knowledge.aside), {**notes, **learned})
     save_model(folder / GAMMA, knowledge.gamma, knowledge.gamma_report)
     save_model(folder / CLASSIFIER, knowledge.classifier, knowledge.classifier_report)
+    marks = {name: mark_of(folder / f"{name}.safetensors") for name in MODELS}
+    save_tensors(folder / ASIDE, vars(knowledge.aside), {**notes, **learned, **marks})
 
 
 def stage_knowledge(run: "StoredRun", stage: Path) -> Knowledge | None:
@@ -206,14 +217,21 @@ def save_scenarios(
 
 
 def load_scenarios(path: Path, like: ScenarioBatch) -> tuple[ScenarioBatch, ...]:
-    """Read W and M; RunError if one is missing or damaged."""
+    """Read W and M; RunError if one is missing or damaged, or others than those seen beside."""
     data, names = read_json(path), ("W", "M")
     for name in names:
         if not isinstance(data, dict) or name not in data:
             raise RunError(f"{str(path)!r} lacks {name!r}; restore the file")
-    return tuple(
+    found = tuple(
         scenarios_from_list(data[name], like, f"{name} in {str(path)!r}") for name in names
     )
+    beside, count = path.with_name(SEEN), sum(map(len, found))
+    if (rows := head_rows(beside, "percepts")) not in (None, count):
+        raise RunError(
+            f"{str(path)!r} has {count} scenarios, and {SEEN} beside it the percepts of {rows}: "
+            "one of them is of another stage; restore it"
+        )
+    return found
 
 
 def load_evidence(path: Path, like: ScenarioBatch) -> tuple[ScenarioBatch, list[str], Tensor]:
@@ -236,10 +254,11 @@ def save_progress(
     notes = {"seed": str(seed)}
     if progress.skill is not None:
         save_skill(folder / "skill.json", progress.skill)
+        notes["skill"] = progress.skill.name
     known = progress.solved, progress.missed, progress.chance
     save_scenarios(folder / "scenarios.json", *known, accepted)
     if (seen := progress.seen) is not None:
-        save_tensors(folder / "seen.safetensors", {"percepts": seen}, notes)
+        save_tensors(folder / SEEN, {"percepts": seen}, notes)
     if isinstance(progress.knowledge, Known):
         save_tensors(folder / KNOWN, progress.knowledge.tensors(), notes)
     elif progress.knowledge is not None:
@@ -263,7 +282,7 @@ def load_progress(run: StoredRun, folder: Path) -> Progress[Any]:
     if (folder / "skill.json").is_file():
         progress = replace(progress, skill=load_skill(folder / "skill.json", run.actions))
     if len(solved) or len(missed):
-        path = folder / "seen.safetensors"
+        path = folder / SEEN
         shape = len(solved) + len(missed), len(run.domain.percept)
         seen = load_tensors(path, {"percepts"})["percepts"]
         if (seen.shape, seen.dtype) != (shape, torch.float32) or not seen.isfinite().all():

@@ -7,7 +7,11 @@ import torch
 from torch import Tensor
 
 from cgtorch.graphs import ActionSet, Graphs
+from cgtorch.graphs.action_set import AN_ACTION_SET
+from cgtorch.graphs.skill import MOST_TRANSITIONS
+from cgtorch.ground.dry_run import check_methods
 from cgtorch.ground.environment import Bounded, Environment
+from cgtorch.ground.given import of_kind, whole_number
 from cgtorch.native.gpu import Gpu, launcher_of
 from cgtorch.simulation.compiled import (
     LARGEST,
@@ -59,10 +63,17 @@ def rollout(
 
     Raises:
         GraphError: An action, a head or a start does not exist.
+        SettingsError: Something given is of another kind.
+        WorldError: The environment is none.
     """
+    of_kind(graphs, Graphs, "graphs", "Graphs, such as skill.graph")
+    of_kind(actions, ActionSet, "actions", AN_ACTION_SET)
+    check_methods(environment)
+    max_transitions = whole_number(max_transitions, "max_transitions", 0, MOST_TRANSITIONS)
     if scenarios is None:
         scenarios = torch.arange(environment.num_scenarios, device=graphs.start.device)
-    max_steps = most_steps(actions, max_transitions) if max_steps is None else max_steps
+    most = most_steps(actions, max_transitions) if max_steps is None else max_steps
+    max_steps = whole_number(most, "max_steps", 0, LARGEST)
     limits = max_transitions, max_steps
     if trace is None and isinstance(environment, Bounded):
         most = environment.most_lanes

@@ -11,11 +11,11 @@ from cgtorch.domains.domain import Domain
 from cgtorch.domains.knowledge import Knowledge
 from cgtorch.domains.models import Models
 from cgtorch.graphs import Skill
-from cgtorch.graphs.skill import A_SKILL
+from cgtorch.graphs.skill import a_skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.environment import Bounded
 from cgtorch.ground.errors import SettingsError
-from cgtorch.ground.given import given_seed, of_kind, whole_number
+from cgtorch.ground.given import given_seed, whole_number
 from cgtorch.improvement.trial import try_skill
 from cgtorch.runs.settings import MOST_TRIED
 from cgtorch.simulation import rollout
@@ -28,13 +28,14 @@ PART = 250  # scenarios that are tried at once, between two signs of progress
 class Score:
     """The result of a skill: `succeeded` (B,) bool, and `returns` (B,) with rewards.
 
-    `percepts` (B, D) are the first ones.
+    `percepts` (B, D) are the first ones, and `skill` is the one that was tried, if that is known.
     """
 
     scenarios: Any
     percepts: Tensor
     succeeded: Tensor
     returns: Tensor | None = None
+    skill: Skill | None = None
 
     def __repr__(self) -> str:
         """In short, as in 'Score(93 of 100)'."""
@@ -45,7 +46,8 @@ class Score:
     def of(self, rows: Tensor) -> "Score":
         """The score on some of the scenarios, given as a mask (B,)."""
         returns = None if self.returns is None else self.returns[rows]
-        return Score(self.scenarios[rows], self.percepts[rows], self.succeeded[rows], returns)
+        parts = self.scenarios[rows], self.percepts[rows], self.succeeded[rows]
+        return Score(*parts, returns, self.skill)
 
     @property
     def tried(self) -> int:
@@ -78,7 +80,7 @@ class Score:
 
 
 def joined(scores: list[Score]) -> Score:
-    """The score of several batches, at least one."""
+    """The score of several batches, at least one, of one skill."""
     first, *more = (s.scenarios for s in scores)
     returns = [s.returns for s in scores if s.returns is not None]
     return Score(
@@ -86,6 +88,7 @@ def joined(scores: list[Score]) -> Score:
         torch.cat([s.percepts for s in scores]),
         torch.cat([s.succeeded for s in scores]),
         torch.cat(returns) if len(returns) == len(scores) else None,
+        scores[0].skill,
     )
 
 
@@ -102,8 +105,11 @@ def try_on(skill: Skill, domain: Domain[Any], scenarios: Any) -> Score:
     returns, solved = trial.returns, trial.succeeded
     if returns is not None:
         solved = returns >= domain.target_return
-    found = [trial.percepts, solved, *([] if returns is None else [returns])]
-    return Score(scenarios, *(ranks.all_gather(x, rows) if shared else x for x in found))
+    percepts = trial.percepts
+    if shared:
+        percepts, solved = (ranks.all_gather(x, rows) for x in (percepts, solved))
+        returns = None if returns is None else ranks.all_gather(returns, rows)
+    return Score(scenarios, percepts, solved, returns, skill)
 
 
 def evaluate_skill(
@@ -134,7 +140,7 @@ def drawn(skill: Skill, domain: Domain[Any], kind: str, count: int, seed: int) -
     """
     if kind not in domain.kinds:
         raise SettingsError(f"unknown scenarios {kind!r}; use one of {', '.join(domain.kinds)}")
-    of_kind(skill, Skill, "skill", A_SKILL)
+    a_skill(skill)
     count = whole_number(count, "count", 0, MOST_TRIED)
     scenarios = domain.draw(kind, count, Generator().manual_seed(given_seed(seed)))
     check_percepts(skill, domain.world(scenarios[:1]).percept_size, kind)

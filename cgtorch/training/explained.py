@@ -4,15 +4,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from cgtorch.domains.domain import counting
-from cgtorch.domains.failures import Explained, Searched, Tried
-from cgtorch.graphs import load_skill
+from cgtorch.domains.failures import Explained, Failures, Searched, Tried
+from cgtorch.graphs import Skill, load_skill, skill_to_dict
+from cgtorch.ground.errors import SettingsError
 from cgtorch.runs.chosen import folder_of_last
 from cgtorch.runs.log import Row, read_log
 from cgtorch.runs.settings import defaults_of, option_of
 from cgtorch.runs.storage import load_scenarios, stage_knowledge
 from cgtorch.runs.stored_run import SKILL, StoredRun
 from cgtorch.training.advice import MODELS, unskilled
-from cgtorch.training.evaluate import evaluate_skill, joined, try_on
+from cgtorch.training.evaluate import Score, evaluate_skill, joined, try_on
 from cgtorch.training.failures import Background, failures_of
 from cgtorch.training.searched import searched_of
 from cgtorch.training.train import FRESH, FRESH_SEED
@@ -51,6 +52,41 @@ def explained(run: StoredRun) -> Explained | None:
     score = joined([*scores.values()])
     found = failures_of(skill, run.domain, score, background_of(run, folder, log), tried)
     return Explained(found, seed, skill, score.scenarios, score.succeeded)
+
+
+def failures_in(run: StoredRun, score: Score, skill: Skill | None = None) -> Failures:
+    """Why a skill fails in a score on the run's scenarios: a given one, or one of the run.
+
+    SettingsError if the score is of another skill, or of other scenarios.
+    """
+    wanted = type(run.like()), len(run.domain.percept)
+    if (type(score.scenarios), score.percepts.shape[1]) != wanted:
+        raise SettingsError(
+            f"score is of scenarios of another domain than {run.settings.domain!r}; give one that "
+            "this run's evaluate returns"
+        )
+    tried, last = score.skill or skill, folder_of_last(run)
+    if skill is not None and tried is not None and not _same(skill, tried):
+        raise SettingsError(
+            f"score is of skill {tried.name!r:.80}, and skill is another one, {skill.name!r:.80}; "
+            "give the one that was evaluated"
+        )
+    every = [folder for folder in (last, *(run.folder / name for name in run.stages)) if folder]
+    own = ((folder, load_skill(folder / SKILL, run.actions)) for folder in every)
+    folder, found = next((f for f in own if tried is None or _same(f[1], tried)), (last, skill))
+    if found is None:
+        name = "" if tried is None else f" {tried.name!r:.80}"
+        raise SettingsError(
+            f"score is of a skill{name} that run {str(run.folder)!r} does not have; give a score "
+            "of this run, or also the skill"
+        )
+    known = Background() if folder is None else background_of(run, folder)
+    return failures_of(found, run.domain, score, known)
+
+
+def _same(skill: Skill, other: Skill) -> bool:
+    """Whether two skills are the same in all that is stored of them."""
+    return skill is other or skill_to_dict(skill) == skill_to_dict(other)
 
 
 def background_of(run: StoredRun, folder: Path, log: list[Row] | None = None) -> Background:

@@ -17,20 +17,20 @@ from cgtorch.domains.registry import (
     with_name,
 )
 from cgtorch.graphs import Skill, load_skill
-from cgtorch.graphs.skill import A_SKILL
+from cgtorch.graphs.skill import a_skill
 from cgtorch.ground import distributed as ranks
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import write_bytes
-from cgtorch.ground.given import a_function, given_path, known_options, of_kind, truth
+from cgtorch.ground.given import a_function, given_folder, given_path, known_options, of_kind, truth
+from cgtorch.ground.replacing import check_output
 from cgtorch.report import ProgressDisplay
-from cgtorch.runs.chosen import folder_of_last
+from cgtorch.report.console import LastingConsole
+from cgtorch.runs.chosen import folder_of_last, without_skill
 from cgtorch.runs.log import read_log
-from cgtorch.runs.replacing import check_output
 from cgtorch.runs.settings import Goal, RunSettings, defaults_of
 from cgtorch.runs.stored_run import SKILL, StoredRun, read_run
 from cgtorch.training.evaluate import Score, evaluate_skill
-from cgtorch.training.explained import background_of, explained
-from cgtorch.training.failures import Background, failures_of
+from cgtorch.training.explained import explained, failures_in
 from cgtorch.training.session import (
     TrainingRequest,
     UserWatch,
@@ -59,7 +59,8 @@ class Run(StoredRun):
     def skill(self) -> Skill:
         """The last skill, or the best of an interrupted stage; RunError if there is none yet."""
         if (last := folder_of_last(self)) is None:
-            raise RunError(f"run {str(self.folder)!r} has no skill yet; resume it")
+            usual = "has no skill yet; resume it"
+            raise RunError(f"run {str(self.folder)!r} {without_skill(self, usual)}")
         return load_skill(last / SKILL, self.actions)
 
     @property
@@ -95,13 +96,11 @@ class Run(StoredRun):
     def failures(self, score: Score, skill: Skill | None = None) -> Failures:
         """Why a skill fails in a score of `evaluate`: kinds of failure, causes, and advice.
 
-        SettingsError for what is no score or no skill.
+        The skill is given if it is none of the run's. SettingsError for what is no score or no
+        skill, or for a score of another run or of another skill.
         """
         of_kind(score, Score, "score", "a Score, such as evaluate returns")
-        last = folder_of_last(self)
-        known = Background() if last is None else background_of(self, last)
-        tried = self.skill if skill is None else of_kind(skill, Skill, "skill", A_SKILL)
-        return failures_of(tried, self.domain, score, known)
+        return failures_in(self, score, None if skill is None else a_skill(skill))
 
     def report(self, path: Path | str, force: bool = False) -> None:
         """Write the run as one HTML page.
@@ -136,17 +135,24 @@ class Run(StoredRun):
         own = {f.name for f in fields(kind)}
         rest |= known_options(RunSettings, {k: v for k, v in rest.items() if k not in own}, kind)
         settings = resumed(self, rest, rest)
-        with continued(self), ProgressDisplay(quiet=quiet or not ranks.first()) as display:
+        with continued(self), _progress(quiet) as display:
             work = prepared(self, settings, request)
             carry_out(work, display, watch)
         return type(self).of(work.run)
 
 
+def _progress(quiet: bool) -> ProgressDisplay:
+    """A display for a program, which goes on if nobody sees it."""
+    return ProgressDisplay(LastingConsole(), quiet or not ranks.first())
+
+
 def make(name: str, **settings: Any) -> "Domain[Any]":
     """A domain by the name that it has on the command line, with its own settings.
 
-    DomainError if there is none, SettingsError for a setting that it does not have.
+    DomainError if there is none, SettingsError for a setting that it does not have, or for what is
+    no name.
     """
+    of_kind(name, str, "name", "the name of a domain, such as 'tabletop', or call its class")
     kind = settings_class(name)
     return make_domain(name, kind(**known_options(kind, settings)))
 
@@ -191,7 +197,7 @@ def train(
     if watch is not None:
         a_function(watch, "watch")
     if target is not None:
-        Goal(target=target)  # which checks it
+        Goal(**known_options(Goal, {"target": target}))  # which checks it
     aim = {"target_return" if returns else "target": target}
     request, rest = TrainingRequest.taken_from({"stage": stage, **aim, **settings})
     given = {f.name: rest.pop(f.name) for f in fields(kind) if f.name in rest}
@@ -207,10 +213,10 @@ def train(
     rest.setdefault("driver", driver_of(spec) if made is None else "")
     run_settings = RunSettings(**{**defaults_of(kind), **known_options(RunSettings, rest, kind)})
     usual = Path("runs") / f"seed-{run_settings.seed}"
-    place = usual if folder is None else given_path(folder, "folder")
+    place = given_folder(usual if folder is None else folder)
     with (
         ranks.together(),
-        ProgressDisplay(quiet=quiet or not ranks.first()) as display,
+        _progress(quiet) as display,
         begun(place, run_settings, domain_settings, request, made) as run,
     ):
         work = prepared(run, run_settings, request)
@@ -234,4 +240,4 @@ def open_run(
         CgtorchError: There is no run, it is damaged, or something of it is not given.
     """
     spec, made = (None, None) if domain is None else spec_of(domain)
-    return Run.of(read_run(given_path(folder, "folder"), specs_of(actions), made or spec))
+    return Run.of(read_run(given_folder(folder), specs_of(actions), made or spec))

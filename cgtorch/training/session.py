@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, fields
+from math import inf
 from numbers import Real
 from pathlib import Path
 from typing import Any, Self, TypeAlias
@@ -18,7 +19,7 @@ from cgtorch.ground.asked import NAMES as ASKED
 from cgtorch.ground.asked import Purse
 from cgtorch.ground.errors import RunError, SettingsError
 from cgtorch.ground.files import check_name_of
-from cgtorch.ground.given import known_options, of_kind, real_number
+from cgtorch.ground.given import known_options, of_kind, real_number, says_true, shown
 from cgtorch.improvement.events import Event, Watch
 from cgtorch.report import ProgressDisplay, TensorBoardWatch
 from cgtorch.runs.changes import overridden, refuse_others
@@ -80,9 +81,11 @@ class TrainingRequest:
         if self.device != "auto":
             device_named(self.device)
         for name, limit in self.budget.items():
-            if name not in ASKED or not isinstance(limit, Real) or not limit >= 0:
+            whole = isinstance(limit, Real) and limit >= 0 and limit in (inf, limit // 1)
+            if name not in ASKED or not whole:
                 raise SettingsError(
-                    f"budget {name}={limit!r:.40} is no limit; give numbers of {', '.join(ASKED)}"
+                    f"budget {name}={shown(limit, 40)} is no limit; give whole numbers of "
+                    f"{', '.join(ASKED)}"
                 )
 
     @classmethod
@@ -90,7 +93,7 @@ class TrainingRequest:
         """The request in these values by name, None for what is not asked, and the others."""
         own, aims = [f.name for f in fields(cls)], [f.name for f in fields(Goal)]
         given = {name: value for name, value in values.items() if value is not None}
-        goal = {name: given.pop(name) for name in aims if name in given}
+        goal = known_options(Goal, {name: given.pop(name) for name in aims if name in given})
         if goal and "stage" not in given:
             given["stage"] = AUTO
         asked = {name: given.pop(name) for name in own if name in given and name != "goal"}
@@ -232,7 +235,7 @@ def carry_out(
             def told(event: Event) -> None:
                 board(event)
                 display(event)
-                if watch is not None and watch(event) is True:
+                if watch is not None and says_true(watch(event)):
                     raise _StopTraining
 
             device = device_for(run, work.request.device, display)

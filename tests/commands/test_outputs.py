@@ -6,7 +6,7 @@ import pytest
 from command_line import EVALUATE, EXPORT, REFERENCE, REPORT, VIEW, Shell
 
 from cgtorch.ground.errors import RunError
-from cgtorch.runs.replacing import WHY, check_output, check_outputs
+from cgtorch.ground.replacing import WHY, check_output, check_outputs
 
 
 @pytest.fixture

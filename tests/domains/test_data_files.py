@@ -174,7 +174,10 @@ def row(text: str) -> str:
         (row("1,2,,,,0.5"), "'succeeded' in line 3 of 'a.csv' is 0.5; give 0 or 1"),
         (row("1,2,,,,nan"), "'succeeded' in line 3 of 'a.csv' is 'nan'; give 0 or 1"),
         (row('1,2,"3'), "'a.csv' is no CSV in UTF-8 (unexpected end of data); give another"),
-        (row("1,2,3,4,5," + "9" * 200_000), "is no CSV in UTF-8 (field larger than field limit"),
+        (
+            row("1,2,3,4,5," + "9" * 200_000),
+            "has a cell of more than 131072 characters; short",
+        ),
         (GOOD.encode("utf-16"), "'a.csv' is no CSV in UTF-8 ('utf-8' codec can't decode byte"),
         (bytes(range(256)), "is no CSV in UTF-8"),
         (b"\0" * 50, "lacks columns"),
@@ -246,6 +249,36 @@ def test_any_cells_are_data_or_refused(
     assert len(data.percept) + len(data.tested) == len(
         [line for line in csv.reader(io.StringIO(content, newline="")) if line][1:]
     )
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"paths": None}, "path is None; give a path as a text or a pathlib.Path"),
+        ({"paths": [3]}, "path is 3; give a path"),
+        ({"paths": b"a.csv"}, "path is .*; give a path"),
+        ({"paths": "a\0.csv"}, "which no file can be called"),
+        ({"paths": ["x" * 300 + ".csv"]}, "is too long; give names of at most 255 bytes"),
+        ({"percept": None}, "percept is None; give a list of Field, as domain.percept is"),
+        ({"percept": ["place"]}, r"percept is \['place'\]; give a list of Field"),
+        ({"control": 3}, "control is 3; give a list of Field, as domain.control is"),
+        ({"control": "push"}, "control is 'push'; give a list of Field"),
+    ],
+)
+def test_what_names_no_data_is_said(given: dict[str, Any], message: str, tmp_path: Path) -> None:
+    about: dict[str, Any] = {"percept": PERCEPT, "control": CONTROL, **given}
+    place: Any = about.pop("paths", tmp_path / "a.csv")
+    with pytest.raises(DataError, match=message):
+        read_data(place, **about)
+    one = place[0] if isinstance(place, list) else place
+    with pytest.raises(DataError, match=message):
+        write_data(one, some_data(), **about)
+
+
+def test_what_is_no_dataset_is_said(tmp_path: Path) -> None:
+    nothing: Any = None
+    with pytest.raises(DataError, match="dataset is None; give a Dataset, as read_data returns"):
+        write_data(tmp_path / "a.csv", nothing, PERCEPT, CONTROL)
 
 
 def test_data_that_cannot_be_written(tmp_path: Path) -> None:

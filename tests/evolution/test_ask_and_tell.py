@@ -67,7 +67,7 @@ def test_on_disk_and_back_it_goes_on_with_the_same_bits(
 
 def test_whole_numbers_are_a_fitness_too() -> None:
     search = Search(ACTIONS, population=12, lineages=2)
-    search.tell(list(range(12)))
+    search.tell([*range(len(search.ask()))])
     search.tell([3] * len(search.ask()))
     assert search.best_fitness == 11
 
@@ -157,13 +157,15 @@ VALUES = torch.rand(12, generator=seeded(0))
     ("told", "message"),
     [
         (([1.0, 2.0],), "give a tensor (12,), one number for each individual"),
-        ((None,), "fitness is None; give a tensor or a list of numbers"),
-        (("abc",), "fitness is 'abc'; give a tensor or a list of numbers"),
+        ((None,), "fitness is None; give a dense tensor or a list of numbers"),
+        (("abc",), "fitness is 'abc'; give a dense tensor or a list of numbers"),
         ((["a"] * 12,), "fitness is ['a', "),
-        (({0: 1.0},), "fitness is {0: 1.0}; give a tensor or a list of numbers"),
+        (({0: 1.0},), "fitness is {0: 1.0}; give a dense tensor or a list of numbers"),
         ((torch.rand(12, device="meta"),), "fitness is tensor("),
+        ((VALUES.to_sparse(),), "give a dense tensor or a list of numbers"),
+        (([10**400] * 12,), "give a dense tensor or a list of numbers"),
         ((torch.complex(VALUES, VALUES),), "fitness is a tensor (12,) of complex64; give real"),
-        ((VALUES, "x"), "scores are 'x'; give a tensor or a list of numbers"),
+        ((VALUES, "x"), "scores are 'x'; give a dense tensor or a list of numbers"),
         ((VALUES, [None] * 12), "scores are [None, "),
         ((VALUES, torch.complex(VALUES, VALUES)[:, None]), "of complex64; give real numbers"),
         ((VALUES, [[1.0, 2.0]] * 11), "scores are a tensor (11, 2)"),
@@ -171,14 +173,27 @@ VALUES = torch.rand(12, generator=seeded(0))
 )
 def test_what_is_no_fitness_is_one_error(told: tuple[Any, ...], message: str) -> None:
     search = Search(ACTIONS, population=12)
+    search.ask()
     with pytest.raises(DataError, match=re.escape(message)):
         search.tell(*told)
     assert search.generation == 0
 
 
+def test_nothing_is_told_that_nobody_has_asked_for(tmp_path: Path) -> None:
+    search = Search(ACTIONS, population=12)
+    for generation in range(2):
+        with pytest.raises(DataError, match=f"of generation {generation}, which nobody has asked"):
+            search.tell(VALUES)
+        search.ask()
+        search.save(tmp_path / "a")
+        Search.load(tmp_path / "a", ACTIONS, population=12).tell(VALUES)
+        search.tell(VALUES)
+
+
 def test_scores_may_be_a_list() -> None:
     one, other = (Search(ACTIONS, population=12) for _ in range(2))
     scores = torch.rand(12, 3, generator=seeded(1))
+    assert same(one.ask(), other.ask())
     one.tell(VALUES, scores)
     other.tell(VALUES.tolist(), scores.tolist())
     assert same(one.ask(), other.ask())

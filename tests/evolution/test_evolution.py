@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -17,7 +18,7 @@ from cgtorch.evolution import (
     lexicase,
     tell,
 )
-from cgtorch.ground.errors import DataError, SettingsError
+from cgtorch.ground.errors import DataError, SettingsError, WorldError
 
 ACTIONS = custom_actions()
 
@@ -185,3 +186,21 @@ def test_episodes_of_an_evolution_have_a_limit() -> None:
         search = evolve(model(0, 4), ACTIONS, SETTINGS, seeded(0), max_transitions=limit)
         transitions = [next(search).transitions for _ in range(2)]
         assert all(30 * 4 * (limit - 1) < each <= 30 * 4 * limit for each in transitions)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"environment": None}, "environment is None; give an Environment, such as"),
+        ({"environment": lambda number: "x"}, "environment is 'x'; give an Environment, such as"),
+        ({"actions": None}, "actions is None; give an ActionSet, such as domain.actions"),
+        ({"settings": None}, "settings is None; give EvolutionSettings"),
+        ({"generator": 3}, "generator is 3; give a torch.Generator"),
+        ({"generator": None}, "generator is None; give a torch.Generator"),
+        ({"max_transitions": "5"}, "max_transitions is '5'; give a whole number from 1 to"),
+    ],
+)
+def test_what_cannot_evolve_is_said(given: dict[str, Any], message: str) -> None:
+    about: dict[str, Any] = {"settings": SETTINGS, "actions": ACTIONS, "generator": seeded(0)}
+    with pytest.raises((SettingsError, WorldError), match=message):
+        next(evolve(**{"environment": None, **about, **given}))

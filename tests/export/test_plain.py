@@ -243,7 +243,7 @@ def test_a_request_tells_which_action_asks_and_for_what() -> None:
     first = stepper.act([1.0] * 7)
     assert (first.kind, first.action, len(first.control)) == ("control", "MoveBase", 3)
     assert not first.ended
-    with pytest.raises(DataError, match="give 7 or more"):
+    with pytest.raises(DataError, match="give 7 finite numbers"):
         stepper.act([1.0] * 6)
     assert stepper.act([1.0] * 7, done=False) == Request("perceive", "Detect")
     assert stepper.act([1.0] * 7) == Request("timeout")

@@ -1,5 +1,7 @@
 """A skill that acts step by step; `tests/simulation/reference.py` compares it with rollouts."""
 
+import copy
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -9,11 +11,13 @@ from reaching import world_of
 from support import Counter, random_graphs, random_skill, seeded
 from walking import chain, walking_actions
 
+from cgtorch.export import FORMATS
 from cgtorch.export.step import SkillStep
 from cgtorch.export.stepper import Request, Stepper
 from cgtorch.graphs import Action, ActionSet, Perceive, Skill, Step, SubSkill
 from cgtorch.ground.environment import Environment, Lanes
 from cgtorch.ground.errors import ActionError, DataError, SettingsError
+from cgtorch.report import draw_skill
 from cgtorch.simulation.rollout import most_steps, rollout
 from cgtorch.tabletop.actions import paper_actions
 from cgtorch.tabletop.world import random_scenarios
@@ -33,12 +37,60 @@ def test_what_a_robot_does_not_have_is_named() -> None:
     graph = many[(starts == actions.index("Nosy")).nonzero()[:1, 0]]
     with pytest.raises(ActionError, match="asks its environment for 'step'"):
         Stepper(Skill("nosy", graph, actions)).act([0.0] * 7)
-    for percept in ([[0.0] * 7], 1.0, ["far"]):
-        with pytest.raises(DataError, match="one row of numbers"):
-            Stepper(Skill("nosy", graph, actions)).act(percept)  # type: ignore[arg-type]
-    for row in ([0.0] * 6, [torch.nan, *[0.0] * 6]):
-        with pytest.raises(DataError, match="give 7 or more finite numbers"):
-            Stepper(random_skill(0, "S", paper_actions())).act(row)
+
+
+ZEROS = torch.zeros(7)
+
+
+@pytest.mark.parametrize(
+    "percept",
+    [
+        [[0.0] * 7],
+        1.0,
+        ["far"],
+        "1234567",
+        b"1234567",
+        {*range(7)},
+        dict.fromkeys(range(7)),
+        [10**400, *[0.0] * 6],
+        [10**5000, *[0.0] * 6],
+        ZEROS.to_sparse(),
+        ZEROS.to("meta"),
+        ZEROS[None],
+    ],
+)
+def test_what_is_no_row_is_no_percept(percept: Any) -> None:
+    with pytest.raises(DataError, match=r"percept is .*; give one row of numbers"):
+        Stepper(random_skill(0, "S", paper_actions())).act(percept)
+
+
+def test_a_percept_has_as_many_numbers_as_the_networks_read() -> None:
+    stepper = Stepper(random_skill(0, "S", paper_actions()))
+    for row in (ZEROS.tolist(), ZEROS, ZEROS.numpy(), (*ZEROS,)):
+        stepper.act(row)
+    for wrong in ([0.0] * 6, [0.0] * 8, [0.0] * 9, [0.0] * 14, [torch.nan, *[0.0] * 6]):
+        with pytest.raises(DataError, match="numbers; give 7 finite numbers"):
+            stepper.act(wrong)
+    alone = ActionSet(("Detect",), (Perceive(),))
+    for size in (0, 5):  # where nothing reads it
+        Stepper(Skill("S", chain(alone, "Detect"), alone)).act([0.0] * size)
+
+
+def pickled(stepper: Stepper) -> Any:
+    return pickle.loads(pickle.dumps(stepper))  # noqa: S301  it is one's own
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickled])
+def test_a_stepper_is_copied_between_episodes_only(copied: Any) -> None:
+    actions = paper_actions()
+    stepper = Stepper(Skill("S", chain(actions, "Detect"), actions, 2))
+    for _ in range(2):
+        other = copied(stepper)
+        assert stepper.act(ZEROS) == other.act(ZEROS) == Request("perceive", "Detect")
+        with pytest.raises(SettingsError, match="is within an episode, which cannot be copied"):
+            copied(stepper)
+        assert [stepper.act(ZEROS).kind for _ in range(2)] == ["perceive", "timeout"]
+        assert [other.act(ZEROS).kind for _ in range(2)] == ["perceive", "timeout"]
 
 
 def test_a_sub_skill_may_begin_after_more_actions_than_it_could_make() -> None:
@@ -195,6 +247,13 @@ def test_a_step_s_controls_are_as_long_as_the_longest() -> None:
     assert SkillStep(skill, 7).control_size == 3
     alone = ActionSet(("Counter",), (Counter(),))
     assert SkillStep(Skill("S", chain(alone, "Counter"), alone), 7).control_size == 4
+
+
+@pytest.mark.parametrize("thing", [None, "s.json", 3, noting()[0].graph], ids=str)
+@pytest.mark.parametrize("use", [*FORMATS.values(), SkillStep, draw_skill])
+def test_what_is_no_skill_is_neither_exported_nor_drawn(use: Any, thing: Any) -> None:
+    with pytest.raises(SettingsError, match=r"skill is .*; give a Skill, such as load_skill"):
+        use(thing)
 
 
 @pytest.mark.parametrize(

@@ -233,9 +233,15 @@ DEEP = {
         (setting("start", "Nowhere"), "start node 'Nowhere' is none of the nodes"),
         (setting("start", 0), "has start 0; give text"),
         (setting("format", "other"), "not a skill file: format is 'other'"),
-        (setting("version", 3), "version 3; this cgtorch reads 2"),
-        (setting("version", True), "version True; this cgtorch reads 2"),
-        (setting("version", ...), "version None; this cgtorch reads 2"),
+        (setting("version", 3), "version 3, this cgtorch reads 2; use the version that wrote it"),
+        (
+            setting("version", True),
+            "version True, this cgtorch reads 2; use the",
+        ),
+        (
+            setting("version", ...),
+            "version None, this cgtorch reads 2; use the",
+        ),
         (setting("max_transitions", 0), "max_transitions 0; give 1 to 2147483648"),
         (setting("max_transitions", 1.5), "max_transitions 1.5; give a whole number"),
         (setting("max_transitions", True), "max_transitions True; give a whole number"),
@@ -267,7 +273,7 @@ def test_what_is_wrong_with_a_file_is_named(
 
 @pytest.mark.parametrize("data", [None, 3, "text", [], {}, {"format": None}, [GOOD]])
 def test_what_is_no_skill_at_all(data: object) -> None:
-    with pytest.raises(GraphError, match="not a skill file: format is"):
+    with pytest.raises(GraphError, match=r"format is .*; give a file that save_skill"):
         skill_from_dict(data, ACTIONS)
 
 

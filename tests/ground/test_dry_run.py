@@ -365,7 +365,7 @@ def test_scenarios_that_share_a_state_show_it_when_they_begin_in_another_order()
 def test_another_default_type_of_torch_is_told() -> None:
     torch.set_default_dtype(torch.float64)
     try:
-        with pytest.raises(DomainError, match=r"^Own sets torch's .* torch\.float64, .*dtype="):
+        with pytest.raises(DomainError, match=r"is torch\.float64, as Own or your .*dtype="):
             check_default_type("Own")
     finally:
         torch.set_default_dtype(torch.float32)

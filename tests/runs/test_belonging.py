@@ -17,7 +17,7 @@ from cgtorch.ground.files import head_notes
 from cgtorch.runs.belonging import check_parts
 from cgtorch.runs.chosen import lone_skill
 from cgtorch.runs.settings import RunSettings
-from cgtorch.runs.storage import load_dataset, save_tensors
+from cgtorch.runs.storage import load_dataset, load_scenarios, save_tensors
 from cgtorch.runs.stored_run import planned_run, read_run, write_run
 from examples.cart import Cart, Rail
 
@@ -50,6 +50,38 @@ def test_a_round_may_hold_the_skill_of_an_earlier_one(trained: Trained, tmp_path
     shutil.copy(run / "S1" / "skill.json", run / "S0" / "skill.json")
     with pytest.raises(RunError, match=r"/S0/skill.json' holds skill 'S1', not 'S0'"):
         check()
+
+
+@pytest.mark.parametrize("part", ["data", "aside", "seen", "specialists"])
+def test_parts_of_another_stage_are_refused(trained: Trained, tmp_path: Path, part: str) -> None:
+    run = copied(trained, tmp_path / "run")
+    shutil.copy(run / "S0" / f"{part}.safetensors", run / "S1" / f"{part}.safetensors")
+    with pytest.raises(RunError, match=rf"S1/{part}.safetensors' was written with skill S0, not"):
+        read_run(run)
+
+
+@pytest.mark.parametrize("part", ["gamma", "classifier"])
+def test_a_model_of_another_fit_is_refused(trained: Trained, tmp_path: Path, part: str) -> None:
+    run = copied(trained, tmp_path / "run")
+    for stage, other in (("S1", "start"), ("start", "S1")):
+        ours, theirs = (run / name / f"{part}.safetensors" for name in (stage, other))
+        before, another = ours.read_bytes(), theirs.read_bytes()
+        ours.write_bytes(another)
+        if another == before:
+            read_run(run)
+            continue
+        with pytest.raises(RunError, match=rf"{part}.safetensors' is not the model that was lear"):
+            read_run(run)
+        ours.write_bytes(before)
+
+
+def test_scenarios_of_another_stage_are_refused(trained: Trained, tmp_path: Path) -> None:
+    run = copied(trained, tmp_path / "run")
+    shutil.copy(run / "S0" / "scenarios.json", run / "S1" / "scenarios.json")
+    like = read_run(run).like()
+    load_scenarios(run / "S0" / "scenarios.json", like)
+    with pytest.raises(RunError, match=r"scenarios, and seen.safetensors beside it the percepts o"):
+        load_scenarios(run / "S1" / "scenarios.json", like)
 
 
 @pytest.mark.parametrize("file", ["start/data", "S0/aside", "S1/seen"])

@@ -163,7 +163,9 @@ def test_percepts_that_are_not_those_of_w_and_m(
     try:
         save_tensors(path, {"percepts": change(load_tensors(path, {"percepts"})["percepts"])}, {})
         with pytest.raises(
-            RunError, match=r"in .*seen.safetensors' are .* of shape .*, and those of W and M are "
+            RunError,
+            match=r"in .*seen.safetensors' are .* of shape .*, and those of W and M are |"
+            r"and seen.safetensors beside it the percepts of",
         ):
             load_progress(run, folder / "S0")
     finally:

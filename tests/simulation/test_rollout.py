@@ -2,6 +2,7 @@
 
 from collections import Counter as Count
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import reference
@@ -28,6 +29,7 @@ from walking import chain
 
 from cgtorch.graphs import ActionSet, Graphs, Skill, SubSkill
 from cgtorch.ground.environment import Environment, Lanes
+from cgtorch.ground.errors import SettingsError, WorldError
 from cgtorch.simulation import Rollouts, rollout
 from cgtorch.simulation.program import compile_graphs
 from cgtorch.tabletop.actions import Detect, paper_actions
@@ -267,3 +269,23 @@ def test_endless_loops_are_counted_but_not_executed(length: int) -> None:
         assert result.timed_out.all()
         assert result.transitions.item() == 40
         assert (action.calls < 20) if deterministic else (action.calls == 40)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"graphs": None}, "graphs is None; give Graphs, such as skill.graph"),
+        ({"graphs": random_skill(0, "S", paper_actions())}, r"graphs is Skill\(.*; give Graphs"),
+        ({"actions": None}, r"actions is None; give an ActionSet, such as domain.actions\(\)"),
+        ({"environment": None}, "environment is None; give an Environment, such as"),
+        ({"environment": type(world(0, 3))}, "environment is <class .*; give an Environment"),
+        ({"max_transitions": "5"}, "max_transitions is '5'; give a whole number from 0 to"),
+        ({"max_steps": 1.5}, "max_steps is 1.5; give a whole number from 0 to"),
+    ],
+)
+def test_what_cannot_be_rolled_out_is_said(wrong: dict[str, Any], message: str) -> None:
+    skill = random_skill(0, "S", paper_actions())
+    about: dict[str, Any] = {"graphs": skill.graph, "actions": skill.actions}
+    about |= {"environment": world(0, 3), **wrong}
+    with pytest.raises((SettingsError, WorldError), match=message):
+        rollout(**about)

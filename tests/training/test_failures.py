@@ -302,6 +302,29 @@ def test_a_run_tells_why_its_skill_fails(trained: Trained) -> None:
     kinds = run.failures(worse, SKILL).kinds
     assert sum(len(kind.scenarios) for kind in kinds) == 5 - worse.successes > 0
     assert all(act.chance is not None for kind in kinds for act in kind.way.acts)
+    with pytest.raises(SettingsError, match=r"of a skill .* that run .* does not have; give a sc"):
+        run.failures(worse)
+    with pytest.raises(SettingsError, match=r"score is of skill .*, and skill is another one"):
+        run.failures(score, SKILL)
+
+
+def test_a_score_is_of_the_skill_that_was_tried(trained: Trained) -> None:
+    run = open_run(trained.folder)
+    first, *_, last = run.skills.values()
+    score = run.evaluate(20, "far", skill=first)
+    assert score.successes < run.evaluate(20, "far").successes
+    found = run.failures(score)
+    assert found.skill == first.name != last.name
+    assert sum(len(kind.scenarios) for kind in found.kinds) == 20 - score.successes
+    assert repr(run.failures(score, first).kinds) == repr(found.kinds)
+
+
+def test_a_score_of_another_run_has_no_failures_in_this_one(trained: Trained) -> None:
+    run = open_run(trained.folder)
+    pole = make_domain("gymnasium:CartPole-v1")
+    other = Score(pole.draw("starts", 1, seeded(0)), torch.zeros(1, 4), torch.tensor([False]))
+    with pytest.raises(SettingsError, match="score is of scenarios of another domain than 'table"):
+        run.failures(other)
 
 
 def test_a_report_tries_the_scenarios_of_all_stages_and_those_missed(trained: Trained) -> None:

@@ -2,12 +2,16 @@
 
 import importlib.util
 import math
+import os
+import pickle
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -92,6 +96,50 @@ def test_a_report_replaces_no_file_unasked_and_never_one_of_the_run(
     assert b"auto-1" in page.read_bytes()
 
 
+@pytest.mark.parametrize("part", ["run.json", "log.jsonl", "auto-1/skill.json"])
+def test_neither_a_skill_nor_a_search_replaces_a_file_of_a_run(
+    part: str, whole: cgtorch.Run
+) -> None:
+    path = whole.folder / part
+    before = path.read_bytes()
+    search = cgtorch.Search(whole.actions, population=6)
+    for write in (search.save, lambda path: cgtorch.save_skill(path, whole.skill)):
+        with pytest.raises(RunError, match=r"is a part of the run .*; choose another path"):
+            write(path)
+    assert path.read_bytes() == before
+
+
+def test_a_run_stays_the_same_in_another_folder(
+    cart: Any, whole: cgtorch.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(whole.folder.parent)
+    run = cgtorch.open_run(whole.folder.name, cart.Cart)
+    begun = cgtorch.train("tabletop", "begun", stage="S0", quiet=True, watch=lambda event: True)
+    monkeypatch.chdir(tmp_path)
+    assert (run.stages, len(run.log())) == (("auto-1",), len(whole.log()))
+    assert begun.log()
+    begun.resume(quiet=True, watch=lambda event: True)
+    assert not list(tmp_path.iterdir())
+
+
+UNSEEN = """
+import cgtorch
+run = cgtorch.train("tabletop", "run", stage="S0", population=40, watch=lambda event: True)
+print(run.settings.population, run.resume(watch=lambda event: True).stages)
+"""
+
+
+@pytest.mark.hostile
+def test_a_program_goes_on_when_nobody_reads_its_progress(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-c", UNSEEN], cwd=tmp_path, stdout=subprocess.PIPE, stderr=write
+    )
+    os.close(write)
+    assert (done.returncode, done.stdout) == (0, b"40 ()\n")
+
+
 def test_the_reference_run_tells_all_that_it_has() -> None:
     run = cgtorch.open_run(REFERENCE)
     assert list(run.skills) == [row["stage"] for row in run.ledger] == list(run.stages)
@@ -104,6 +152,15 @@ def test_the_reference_run_tells_all_that_it_has() -> None:
     assert run.evaluate(20, "near", 1).successes >= 15
     first = run.evaluate(20, "perimeter", 1, run.skills["S0"])
     assert first.successes < run.evaluate(20, "perimeter", 1).successes
+
+
+def test_a_run_its_domain_and_a_world_can_be_pickled() -> None:
+    run, domain = cgtorch.open_run(REFERENCE), cgtorch.make("tabletop")
+    world = domain.world(domain.tests("near"))
+    parts = pickle.loads(pickle.dumps((run, domain, world)))  # noqa: S301  they are one's own
+    other, second, place = parts
+    assert torch.equal(run.evaluate(20).succeeded, other.evaluate(20).succeeded)
+    assert (second.settings, place.num_scenarios) == (domain.settings, world.num_scenarios)
 
 
 @pytest.mark.parametrize("quiet", [True, False])
@@ -200,6 +257,10 @@ def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:
         ({"device": "abacus"}, SettingsError, "device 'abacus' cannot be used"),
         ({"stage": "S9"}, SettingsError, "unknown stage 'S9'"),
         ({"domain": 3}, DomainError, "domain is 3; give a name"),
+        ({"domain": "CartPole-v1"}, DomainError, "such as 'gymnasium:CartPole-v1'$"),
+        ({"domain": gymnasium.Env}, DomainError, "such as 'gymnasium:CartPole-v1'$"),
+        ({"domain": gymnasium.make("Acrobot-v1")}, DomainError, "such as 'gymnasium:Acrobot-v1'$"),
+        ({"budget": {"motions": 1.5}}, SettingsError, "budget motions=1.5 is no limit; give whole"),
         ({"domain": "table"}, DomainError, "unknown domain 'table'"),
         ({"actions": ["Fly"]}, CgtorchError, "unknown action 'Fly'"),
         ({"actions": "Wait"}, SettingsError, "the text 'Wait', not a list of names; give a"),
@@ -218,6 +279,8 @@ def test_settings_of_the_domain_belong_to_it(tmp_path: Path) -> None:
         ({"quiet": "no"}, SettingsError, "quiet is 'no'; give True or False"),
         ({"folder": 5}, SettingsError, "folder is 5; give a path as a text or a pathlib.Path"),
         ({"folder": b"x"}, SettingsError, "folder is b'x'; give a path"),
+        ({"folder": "a\0b"}, SettingsError, "which no file can be called; give another"),
+        ({"folder": "x" * 256}, SettingsError, "is too long; give names of at most 255 bytes"),
     ],
 )
 def test_what_cannot_work_is_said_before_anything_is_written(
@@ -226,6 +289,19 @@ def test_what_cannot_work_is_said_before_anything_is_written(
     with pytest.raises(error, match=message):
         cgtorch.train(**{"domain": "tabletop", "folder": tmp_path / "run", "quiet": True, **given})
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", [None, 3, object, cgtorch.Domain])
+def test_what_is_no_name_makes_no_domain(name: Any) -> None:
+    with pytest.raises(SettingsError, match=r"name is .*; give the name of a domain, such as"):
+        cgtorch.make(name)
+
+
+def test_a_run_whose_first_stage_is_lost_says_so(tmp_path: Path) -> None:
+    shutil.copytree(REFERENCE, tmp_path / "run")
+    shutil.rmtree(tmp_path / "run" / "S0")
+    with pytest.raises(RunError, match="has S1, but not S0, on which it builds; restore the"):
+        _ = cgtorch.open_run(tmp_path / "run").skill
 
 
 @pytest.mark.parametrize("folder", [None, 5, b"x", ["runs/a"]])

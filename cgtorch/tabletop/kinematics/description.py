@@ -5,15 +5,17 @@ of `RobotDescription`; `body`, `gripper_joints`, `capsules`, `home`, `gains` and
 optional.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from os.path import isdir, isfile  # which take any text for a path
 from pathlib import Path
-from types import MappingProxyType, UnionType
+from types import UnionType
 from typing import Any, TypeAlias, get_args, get_origin
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_json
+from cgtorch.ground.given import given_path, shown
 from cgtorch.tabletop.kinematics.valid import MOST
 
 Capsule: TypeAlias = tuple[float, float, float, float, float, float, float]
@@ -64,12 +66,10 @@ class RobotDescription:
     torso_joint: str | None
     torso_position: float | None
     body: tuple[str, ...] = ()
-    gripper_joints: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    capsules: Mapping[str, tuple[Capsule, ...]] = field(
-        default_factory=lambda: MappingProxyType({})
-    )
-    home: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    gains: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    gripper_joints: Mapping[str, float] = field(default_factory=dict)
+    capsules: Mapping[str, tuple[Capsule, ...]] = field(default_factory=dict)
+    home: Mapping[str, float] = field(default_factory=dict)
+    gains: Mapping[str, float] = field(default_factory=dict)
     excludes: tuple[tuple[str, ...], ...] = ()
 
     @property
@@ -134,8 +134,7 @@ class _Reader:
         if outer is tuple:
             return tuple(self.read(f"{what}[{i}]", x, inner[0]) for i, x in enumerate(value))
         if outer is Mapping:
-            read = {key: self.read(f"{what}[{key!r}]", x, inner[1]) for key, x in value.items()}
-            return MappingProxyType(read)
+            return {key: self.read(f"{what}[{key!r}]", x, inner[1]) for key, x in value.items()}
         return value
 
     def number(self, what: str, value: Any) -> float:
@@ -193,16 +192,19 @@ def robot_files(
     Raises:
         RobotError: The description is none of these, or there is not exactly one URDF beside it.
     """
+    urdf = None if urdf is None else given_path(urdf, "urdf", RobotError)
     if description is None and urdf is not None:
-        return Path(urdf), Path(urdf).parent / DESCRIPTION
-    robot = DEFAULT if description is None else str(description)
-    words = Path(robot)
+        return urdf, urdf.parent / DESCRIPTION
+    robot = DEFAULT if description is None else description
+    if not isinstance(robot, str | os.PathLike):
+        raise RobotError(f"description is {shown(robot)}; give a path, or the name of a robot")
+    words = Path(robot := os.fspath(robot))
     if robot in built_in_robots():
         words = robots_folder() / robot / DESCRIPTION
     elif isdir(robot):
         words /= DESCRIPTION
     if urdf is not None:
-        return Path(urdf), words
+        return urdf, words
     if not isfile(words):
         raise RobotError(
             f"robot {str(description)!r} is no description, no folder with one and none of the "

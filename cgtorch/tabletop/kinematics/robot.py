@@ -15,6 +15,7 @@ from torch import Tensor
 from trimesh import transformations
 
 from cgtorch.ground.errors import RobotError
+from cgtorch.ground.given import given_path, shown
 from cgtorch.tabletop.kinematics.arm import ArmModel, built_chain
 from cgtorch.tabletop.kinematics.clear_ways import OWN, Scene
 from cgtorch.tabletop.kinematics.description import (
@@ -98,6 +99,9 @@ def load_robot(
     URDF lacks or that is not suitable.
     """
     urdf, description = robot_files(urdf, description)
+    if isinstance(packages, str) or not isinstance(packages, Sequence):
+        raise RobotError(f"packages is {shown(packages)}; give a list of folders")
+    packages = [given_path(place, "a folder of packages", RobotError) for place in packages]
     model, words = load_urdf(urdf), load_description(description)
     model, meshes = without_meshes(model, package_places(packages), words.capsules)
     joints = {arm.name: model.joints_between(arm.base_link, arm.tool_frame) for arm in words.arms}

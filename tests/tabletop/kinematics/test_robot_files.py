@@ -107,3 +107,19 @@ def test_built_in_robots_are_in_the_package_or_else_beside_it(tmp_path, monkeypa
         (folder / "pr2").mkdir(parents=True)
         shutil.copy(BOTH[1], folder / "pr2")
         assert robots_folder() == folder
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"urdf": 3}, "urdf is 3; give a path"),
+        ({"urdf": b"pr2.urdf"}, "urdf is b'pr2.urdf'; give a path"),
+        ({"description": 3}, "description is 3; give a path, or the name of a robot"),
+        ({"packages": "meshes"}, "packages is 'meshes'; give a list of folders"),
+        ({"packages": None}, "packages is None; give a list of folders"),
+        ({"packages": [3]}, "a folder of packages is 3; give a path"),
+    ],
+)
+def test_what_names_no_robot_is_said(given, message):
+    with pytest.raises(RobotError, match=message):
+        load_robot(**given)

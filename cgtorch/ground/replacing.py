@@ -11,6 +11,8 @@ OF_A_RUN = (".json", ".jsonl", ".lock", ".safetensors")
 """The ends of names of files in the folder of a run itself; other files there are the user's."""
 WHY = ("failures.md", "failures.json", "kind-*.webp")
 """Files on why a skill fails, which may lie in a run but are no part of it."""
+SO_FAR = "journal/*/skill.json"
+"""The best skill so far of an interrupted stage, which the run itself replaces as it goes on."""
 
 
 def check_output(
@@ -33,10 +35,19 @@ def check_output(
         raise RunError(f"{str(output)!r} is a device or a pipe; {another}")
     if output.exists() and read.is_file() and os.path.samefile(output, read):
         raise RunError(f"{str(output)!r} is a part of {str(read)!r}, which is read; {another}")
-    if output.exists() and (run := _run_with(output)):
-        raise RunError(f"{str(output)!r} is a part of the run {str(run)!r}; {another}")
+    check_no_part(output, option)
     if output.exists() and not force:
         raise RunError(f"{str(output)!r} exists; {another} or {forced}")
+
+
+def check_no_part(output: Path, option: str = "path", but: str = "") -> None:
+    """RunError if the output is a file of a run, `but` for those that match a pattern."""
+    if but and output.match(but):
+        return
+    if output.exists() and (run := _run_with(output)):
+        raise RunError(
+            f"{str(output)!r} is a part of the run {str(run)!r}; choose another {option}"
+        )
 
 
 def check_outputs(folder: Path, names: Sequence[str], force: bool, read: Path, option: str) -> None:
