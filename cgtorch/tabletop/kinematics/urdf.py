@@ -12,7 +12,7 @@ from lxml import etree
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
-from cgtorch.tabletop.kinematics.dialects import bounded, completed
+from cgtorch.tabletop.kinematics.dialects import bounded, completed, without_namespace
 from cgtorch.tabletop.kinematics.followers import led
 from cgtorch.tabletop.kinematics.valid import MOST, check_joint, check_numbers, check_tree
 from cgtorch.tabletop.kinematics.valid import MOVING as MOVING
@@ -107,10 +107,12 @@ def read_urdf(path: Path, notes: list[str] | None = None) -> Any:
     where = f"URDF {str(path)!r}"
     data = read_bytes(path, MAX_BYTES, RobotError)
     root = parsed(data, where)
+    is_xacro = any(str(element.tag).startswith(XACRO) for element in root.iter())
+    without_namespace(root)
     if root.tag != "robot":
         raise RobotError(f"{where} starts with <{root.tag}>: give a file that starts with <robot>")
     unfilled = root.find("link") is None or b"${" in data
-    if unfilled and any(str(element.tag).startswith(XACRO) for element in root.iter()):
+    if unfilled and is_xacro:
         raise RobotError(f"{where} is a xacro file: make a URDF of it by `xacro FILE > robot.urdf`")
     unlimited = bounded(root)
     if notes is not None:
