@@ -13,7 +13,7 @@ from lxml import etree
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
 from cgtorch.tabletop.kinematics.dialects import bounded, completed, without_namespace
-from cgtorch.tabletop.kinematics.followers import led
+from cgtorch.tabletop.kinematics.followers import first_leads, led
 from cgtorch.tabletop.kinematics.valid import MOST, check_joint, check_numbers, check_tree
 from cgtorch.tabletop.kinematics.valid import MOVING as MOVING
 
@@ -101,8 +101,8 @@ def read_urdf(path: Path, notes: list[str] | None = None) -> Any:
     """The elements of a valid URDF, whose inertias are not checked.
 
     With notes, limits whose lower one is above the upper one are turned round, which is noted, and
-    so is a joint that turns without end as its limit has no ends, or is held still as what it
-    follows is.
+    so is a joint that turns without end as its limit has no ends, is held still as what it follows
+    is, or leads what it followed, as that is farther out.
     """
     where = f"URDF {str(path)!r}"
     data = read_bytes(path, MAX_BYTES, RobotError)
@@ -129,6 +129,11 @@ def read_urdf(path: Path, notes: list[str] | None = None) -> Any:
         notes.append(
             f"{', '.join(still)}: held still, as what they follow does not move, is not there, or "
             "follows them in a circle; correct <mimic> if they should move"
+        )
+    if notes is not None:
+        notes.extend(
+            f"{first!r} leads {last!r} now, which it followed in the URDF, as it is before that"
+            for first, last in first_leads(root).items()
         )
     return root
 
