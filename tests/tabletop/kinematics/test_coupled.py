@@ -130,7 +130,7 @@ def test_a_joint_follows_one_before_it(folder):
 def test_an_arm_does_not_move_its_own_base(folder):
     rows = [*ROWS]
     rows[0] = (*rows[0][:5], ("lift", 1, 0))
-    with pytest.raises(RobotError, match="'pan', which follows 'lift'.* in a robot folder by cgt"):
+    with pytest.raises(RobotError, match=r"'pan', which follows 'lift'.* in a robot folder by cgt"):
         read(folder, rows)
     words = (folder / "robot.json").read_text()
     (folder / "robot.json").write_text(words.replace('"base_link": "base"', '"base_link": "pan"'))
