@@ -193,13 +193,14 @@ def _hindered(robot: Robot, which: int, height: float) -> str:
 def _beside_footprint(robot: Robot, which: int) -> str:
     """That an arm's tool comes nowhere beyond the footprint to objects, if it does not; or ""."""
     arm = robot.arms[which]
-    farthest = float(arm.frames(random_postures(arm, POSTURES))[-1, :, 0, 3].max())
-    edge = robot.description.footprint[1]
-    if farthest >= edge + AHEAD + DEPTHS[0]:
+    along = arm.frames(random_postures(arm, POSTURES))[:, :, 0, 3]
+    farthest, shoulder = float(along[-1].max()), float(along[1].min())
+    edge, before = robot.description.footprint[1], AHEAD + DEPTHS[0]
+    if farthest >= edge + before or farthest < shoulder + before:  # as it is too short anyway
         return ""
     return (
         f"in none of {POSTURES} postures its tool is more than {farthest:.2f} m ahead of the base "
-        f"frame, but the footprint ends at {edge:.2f} m, and objects begin {AHEAD + DEPTHS[0]:.2f} "
+        f"frame, but the footprint ends at {edge:.2f} m, and objects begin {before:.2f} "
         "m before it: give a smaller one by --footprint if a table may stand in it"
     )
 

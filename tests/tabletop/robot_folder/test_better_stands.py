@@ -35,17 +35,17 @@ def test_the_stand_with_most_objects_is_advised(monkeypatch):
     assert better_stand(on_stand, 0.2) == ""
 
 
-@pytest.mark.parametrize("reaches", [0.1, 0.3])
-def test_a_footprint_that_holds_all_that_is_reached_is_told(monkeypatch, reaches):
-    pose = torch.eye(4).expand(1, 5, 4, 4).clone()
-    pose[..., 0, 3] = 1.0 + reaches
+@pytest.mark.parametrize(("reaches", "shoulder"), [(0.1, 0), (0.3, 0), (0.1, 1)])
+def test_a_footprint_that_holds_all_that_is_reached_is_told(monkeypatch, reaches, shoulder):
+    pose = torch.eye(4).expand(3, 5, 4, 4).clone()
+    pose[1, :, 0, 3], pose[2, :, 0, 3] = shoulder, 1.0 + reaches
     robot = SimpleNamespace(
         arms=[SimpleNamespace(frames=lambda q: pose)],
         description=SimpleNamespace(footprint=(-1, 1.0, -1, 1)),
     )
     monkeypatch.setattr(reach, "random_postures", lambda *about: None)
     said = reach._beside_footprint(robot, 0)
-    inside = reaches < AHEAD + DEPTHS[0]
+    inside = reaches < AHEAD + DEPTHS[0] and not shoulder  # of one that is too short anyway
     assert ("tool is more than 1.10 m ahead" in said and "ends at 1.00 m" in said) == inside
     assert bool(said) == inside
 
