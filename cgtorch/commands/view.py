@@ -53,8 +53,9 @@ Examples:
 @click.option(
     "--film",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write an animated picture (.gif or .webp) of the skill on the first scenario instead, "
-    "and exit. Any domain that can draw has one; the tabletop has it in physics.",
+    help="Write an animated picture (.gif or .webp) of the skill on the first scenario on "
+    "which it moves anything instead, and exit. Any domain that can draw has one; the tabletop has "
+    "it in physics.",
 )
 @outputs.force_option
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
@@ -160,7 +161,7 @@ def _film(
     skill, domain, world = chosen.skill, chosen.domain, rest["world"]
     if world is not None or isinstance(domain, Adaptable):
         domain = in_world(domain, world or "mujoco")  # where the tabletop is drawn
-    scenarios = drawn(skill, domain, chosen.kind, count, seed)[:1]
+    scenarios = drawn(skill, domain, chosen.kind, count, seed)
     with common.waiting(f"filming {skill.name}", rest["quiet"]):
         made = domain.pictures(domain).film(skill, scenarios, WIDTH)
         data = animated([made], film.suffix[1:]) if made else b""

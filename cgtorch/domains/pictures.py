@@ -81,6 +81,8 @@ class Pictures(Generic[D]):
     def film(self, skill: "Skill", scenarios: Any, width: int) -> "Film | None":
         """Pictures of about that width (px) of a skill on the first scenario; None without any.
 
+        Where it moves nothing on that one, the next one on which it does may be shown.
+
         CgtorchError if they cannot be drawn on this machine.
         """
         return None

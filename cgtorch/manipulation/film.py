@@ -21,6 +21,7 @@ class ArmPictures(Pictures[Any]):
 
     def film(self, skill: Skill, scenarios: Starts, width: int) -> Film | None:
         """See `Pictures.film`."""
+        scenarios = scenarios[:1]
         domain, seed = self.domain, int(scenarios.seed[0])
         simulator = domain.simulators[int(scenarios.task[0])]
         about = domain.simulators, domain.arm, simulator.size, domain.num_ids

@@ -86,7 +86,7 @@ class TabletopPictures(Pictures[Any]):
         """See `Pictures.film`: what MuJoCo's renderer sees of it in physics."""
         if self.domain.settings.world != "mujoco":
             return None
-        return film_of(skill, self.domain.physics, self.domain.world_in, scenarios[:1], width)
+        return film_of(skill, self.domain.physics, self.domain.world_in, scenarios, width)
 
     def stage(self, name: str) -> str:
         """See `Pictures.stage`: the paper's drawing of an experiment."""

@@ -17,6 +17,16 @@ SIZES = ("size", "radius", "length")
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
 
 
+def without_namespace(root: Any) -> None:
+    """Take the names of elements, in place, out of the namespace of a root <robot xmlns="...">."""
+    if not root.nsmap.get(None) or etree.QName(root).localname != "robot":
+        return
+    before = f"{{{root.nsmap[None]}}}"
+    for element in root.iter(f"{before}*"):
+        element.tag = etree.QName(element).localname
+    etree.cleanup_namespaces(root)
+
+
 def completed(root: Any, where: str) -> None:
     """Turn a checked tree of elements, in place, into one that every reader understands.
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from lxml import etree
 from trimesh import transformations
 
 from cgtorch.tabletop.kinematics.origins import fix, pose_of
@@ -37,6 +38,73 @@ def led(root: Any) -> list[str]:
     return held
 
 
+def first_leads(root: Any) -> dict[str, str]:
+    """Have what follows a joint farther out lead it instead, in a tree that is `led`, in place.
+
+    The slides of a telescope may all follow the outermost one, but a joint of an arm can only
+    follow one before it. Its range is then that of its leader, as it follows it. Returns each joint
+    that leads now, and which one it followed.
+    """
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    above = {joint.find("child").get("link"): joint for joint in joints.values()}
+    found = dict[str, str]()
+    for name, leader in joints.items():
+        before = list[Any]()
+        each = above.get(leader.find("parent").get("link"))
+        while each is not None:
+            before.append(each)
+            each = above.get(each.find("parent").get("link"))
+        following = [each for each in before if _follows(each, name)]
+        if following and _turned_round(following[-1], leader):
+            first = following[-1].get("name")
+            found[first] = name
+            for other in joints.values():
+                if other is not leader and _follows(other, name):
+                    _follow_instead(other, first, leader.find("mimic"))
+    return found
+
+
+def _follows(joint: Any, name: str) -> bool:
+    mimic = joint.find("mimic")
+    return mimic is not None and mimic.get("joint") == name
+
+
+def _turned_round(first: Any, leader: Any) -> bool:
+    """Have a joint that follows another lead it; whether that is possible."""
+    (offset, factor), limit = _line(first.find("mimic")), leader.find("limit")
+    if leader.get("type") == "continuous" or not factor:
+        return False
+    ends = sorted(offset + factor * float(limit.get(name)) for name in ("lower", "upper"))
+    mimic = first.find("mimic")
+    first.remove(mimic)
+    if first.get("type") == "continuous":
+        first.set("type", "revolute")
+    own = first.find("limit")
+    own = etree.SubElement(first, "limit", effort="0", velocity="0") if own is None else own
+    own.attrib.update(zip(("lower", "upper"), map(repr, ends), strict=True))
+    mimic.attrib.update(
+        {
+            "joint": first.get("name"),
+            "multiplier": repr(1 / factor),
+            "offset": repr(-offset / factor),
+        }
+    )
+    leader.append(mimic)
+    return True
+
+
+def _follow_instead(joint: Any, first: str, mimic: Any) -> None:
+    """Have a joint that follows one with a mimic follow the joint that this names."""
+    (offset, factor), (before, gain) = _line(joint.find("mimic")), _line(mimic)
+    numbers = {"multiplier": repr(factor * gain), "offset": repr(offset + factor * before)}
+    joint.find("mimic").attrib.update({"joint": first, **numbers})
+
+
+def _line(mimic: Any) -> tuple[float, float]:
+    """The offset and the factor by which a joint follows another."""
+    return float(mimic.get("offset", "0")), float(mimic.get("multiplier", "1"))
+
+
 def _led_by(mimic: Any, mimics: Mapping[str, Any]) -> tuple[str | None, float, float]:
     """The joint that leads another in the end, and by which factor and offset.
 
@@ -45,8 +113,8 @@ def _led_by(mimic: Any, mimics: Mapping[str, Any]) -> tuple[str | None, float, f
     leader, factor, offset = mimic.get("joint"), 1.0, 0.0
     for _ in range(len(mimics)):
         leader = mimic.get("joint")
-        offset += factor * float(mimic.get("offset", "0"))
-        factor *= float(mimic.get("multiplier", "1"))
+        further, gain = _line(mimic)
+        offset, factor = offset + factor * further, factor * gain
         if leader not in mimics:
             break
         mimic = mimics[leader]

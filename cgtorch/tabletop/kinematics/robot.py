@@ -37,6 +37,8 @@ from cgtorch.tabletop.kinematics.solids import (
 from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, load_urdf, mimic_of
 
 _TURNS = 3 * math.pi
+OTHER_ENDS = "by a base link after this joint or a tool frame before it"
+MENDED = "in a robot folder by cgtorch-robot, where the first of such joints leads the others"
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,17 @@ def _check_home(joint: Any, position: float, in_arms: set[str]) -> None:
         )
 
 
+def _check_base(urdf: Urdf, words: RobotDescription, arm: Arm, own: set[str]) -> None:
+    """Refuse an arm whose base link moves with it, as a joint below that follows one of its own."""
+    for joint in urdf.joints_between(words.base_frame, arm.base_link):
+        if joint.mimic is not None and joint.mimic.joint in own:
+            raise RobotError(
+                f"arm {arm.name!r} begins at {arm.base_link!r}, which {joint.name!r} moves, as it "
+                f"follows {joint.mimic.joint!r} of the arm: begin the arm at {joint.parent!r}, "
+                f"{MENDED}"
+            )
+
+
 def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...]) -> ArmModel:
     _fixed_to_base(urdf, words, arm.base_link, {j.name for j in joints}, f"arm {arm.name!r}")
     moving = [joint for joint in joints if joint.type != "fixed"]
@@ -159,16 +172,18 @@ def _arm(urdf: Urdf, words: RobotDescription, arm: Arm, joints: tuple[Any, ...])
             "the links at both ends of the arm"
         )
     own = [joint for joint in moving if joint.mimic is None]
+    _check_base(urdf, words, arm, {joint.name for joint in own})
     for i, joint in enumerate(moving):
         before = [None, *(each.name for each in moving[:i] if each.mimic is None)]
         leader = None if joint.mimic is None else joint.mimic.joint
         if joint.type not in MOVING or leader not in before:
             kind = "mimic" if leader is not None else joint.type
             follows = "" if leader is None else f", which follows {leader!r}"
+            later = leader in {each.name for each in own}
             raise RobotError(
                 f"arm {arm.name!r} has the {kind} joint {joint.name!r}{follows}: use an arm of "
                 "revolute, continuous and prismatic joints that follow none but one before them in "
-                "the arm, by a base link after this joint or a tool frame before it"
+                f"the arm, {MENDED if later else OTHER_ENDS}"
             )
     limits = torch.tensor([_limits(joint) for joint in own], dtype=torch.float64)
     xml, links = _chain_xml(urdf, joints), (arm.base_link, arm.tool_frame)

@@ -33,9 +33,12 @@ SPREAD = 200
 """The number of random postures that show which solids overlap by design."""
 BUILT_IN = 0.25
 """Solids that touch in more than this share of them overlap by design."""
+NEARLY_ALL = 0.95
+"""So do an arm's first links and the body that touch in more than this share of them."""
 BITS = 62
 
-SAMPLES, TRIED = 16_384, 2048  # random postures for home, and how many of them are looked at
+SAMPLES, TRIED = 16_384, 2048  # random postures for home, and how many of them are looked at first
+OFF_BODY = 3  # how good a home at least is whose first links are clear of the body, too
 CENTRE = 0.01  # m: an arm whose shoulder is nearer to the middle than this has no side of its own
 ABOVE = 1.0  # m: parts beyond the footprint stay above tables
 TABLE_AHEAD, TABLE_SIZE = 0.05, (0.8, 1.6)  # m before the footprint; length and width
@@ -47,6 +50,33 @@ beyond the footprint."""
 
 def scene_of(arm: ArmModel, body: Solids, others: Solids) -> Scene:
     """The scene of an arm, given the robot's body and the other arms at home, in the base frame."""
+    n = len(arm.joint_names)
+    pairs = _pairs(arm.solids.joints.tolist(), len(body), others.joints.tolist(), n)
+    scene = _paired(arm, body, others, pairs)
+    return _kept(scene, ~_built_in(arm, scene) & _near_enough(arm, scene))
+
+
+def shoulder_scene(arm: ArmModel, body: Solids) -> Scene:
+    """The scene of an arm's first links and the body, which ways do not check (`_pairs`).
+
+    Neighbours may overlap by design, others only if they do in nearly every posture.
+    """
+    joints = arm.solids.joints.tolist()
+    first = [i for i, moved in enumerate(joints) if moved <= SHOULDER_JOINTS]
+    body_from = OWN + len(joints)
+    pairs = [(OWN + i, body_from + k, ALWAYS) for i in first for k in range(len(body))]
+    scene = _paired(arm, body, body[:0], torch.tensor(pairs, dtype=torch.long).view(-1, 3))
+    usual = torch.tensor([BUILT_IN if joints[i - OWN] == 1 else NEARLY_ALL for i, _, _ in pairs])
+    touch = _touching(arm, scene, random_postures(arm, SPREAD))
+    return _kept(scene, (touch <= usual) & _near_enough(arm, scene))
+
+
+def _kept(scene: Scene, which: Tensor) -> Scene:
+    return replace(scene, pairs=scene.pairs[which], reach=scene.reach[which])
+
+
+def _paired(arm: ArmModel, body: Solids, others: Solids, pairs: Tensor) -> Scene:
+    """The scene of an arm with pairs (P, 3) of its solids."""
     n, tool = len(arm.joint_names), len(arm.chain(arm.lower)[1].kind) - 1
     size = arm.lower.new_tensor([[0, 0, OBJECT_HALF, OBJECT_RADIUS, 0]]).expand(OWN, 5)
     own = Solids(
@@ -56,15 +86,12 @@ def scene_of(arm: ArmModel, body: Solids, others: Solids) -> Scene:
         joints=torch.tensor([0, 0, n]),
     )
     every = own.joined(arm.solids, body, others)
-    pairs = _pairs(arm.solids.joints.tolist(), len(body), others.joints.tolist(), n)
     moving = torch.cat([(arm.chain(arm.lower)[1].kind > 0).cumsum(0), torch.zeros(1).long()])
     carried = moving[every.frame]  # how many joints move each solid, with those that follow others
     apart = [(first, int(carried[second])) for first, second, _ in pairs.tolist()]
     reaches = {each: _reach(arm, every, *each) for each in dict.fromkeys(apart)}
-    reach = torch.stack([reaches[each] for each in apart])
-    scene = Scene(every.pose, every.size, every.radius, every.frame, pairs, reach)
-    kept = ~_built_in(arm, scene) & _near_enough(arm, scene)
-    return replace(scene, pairs=pairs[kept], reach=reach[kept])
+    reach = torch.stack([reaches[each] for each in apart]) if apart else arm.lower.new_empty(0, n)
+    return Scene(every.pose, every.size, every.radius, every.frame, pairs, reach)
 
 
 def _pairs(own: list[int], body: int, others: list[int], n: int) -> Tensor:
@@ -92,25 +119,36 @@ def _pairs(own: list[int], body: int, others: list[int], n: int) -> Tensor:
 
 def _built_in(arm: ArmModel, scene: Scene) -> Tensor:
     """(P,) whether solids of the robot touch in most postures."""
-    found = torch.zeros(len(scene.pairs), dtype=torch.bool)
-    q = random_postures(arm, SPREAD)
-    robot = (scene.pairs[:, :2] >= OWN).all(1).nonzero()[:, 0]
-    for some in robot.split(BITS):
+    robot = (scene.pairs[:, :2] >= OWN).all(1)
+    found = torch.zeros(len(robot), dtype=torch.bool)
+    found[robot] = _touching(arm, _kept(scene, robot), random_postures(arm, SPREAD)) > BUILT_IN
+    return found
+
+
+def _touching(arm: ArmModel, scene: Scene, q: Tensor) -> Tensor:
+    """(P,) in which share of postures (B, n) the solids of each pair of a scene touch."""
+    found = torch.zeros(len(scene.pairs), dtype=torch.double)
+    for some in torch.arange(len(scene.pairs)).split(BITS):
         bit = 1 << torch.arange(len(some))
         pairs = torch.cat([scene.pairs[some, :2], bit[:, None]], 1)
         alone = replace(scene, pairs=pairs, reach=scene.reach[some])
-        kind = bit.repeat_interleave(SPREAD)
+        kind = bit.repeat_interleave(len(q))
         clear = _clear_of_nothing_else(arm, alone, kind, q.repeat(len(some), 1))
-        found[some] = clear.view(len(some), SPREAD).double().mean(1) < 1 - BUILT_IN
+        found[some] = 1 - clear.view(len(some), len(q)).double().mean(1)
     return found
+
+
+def shoulders_touching(arm: ArmModel, body: Solids, q: Tensor) -> list[tuple[int, int]]:
+    """Which solids of an arm's first links touch which of the body in a posture (n,)."""
+    scene = shoulder_scene(arm, body)
+    touch = scene.pairs[_touching(arm, scene, q[None]) > 0, :2] - OWN
+    return [(i, k - len(arm.solids)) for i, k in touch.tolist()]
 
 
 def _clear_of_table(arm: ArmModel, body: Solids, q: Tensor, front: float) -> Tensor:
     """(B,) whether postures (B, n) are clear of tables of usual height before the robot's front."""
     scene = scene_of(arm, body, body[:0])
-    some = scene.pairs[:, 1] == TABLE
-    some &= scene.pairs[:, 0] >= OWN
-    alone = replace(scene, pairs=scene.pairs[some], reach=scene.reach[some])
+    alone = _kept(scene, (scene.pairs[:, 1] == TABLE) & (scene.pairs[:, 0] >= OWN))
     (length, width), (low, high) = TABLE_SIZE, TABLE_TOPS
     pose = torch.eye(4).to(q)[:3]
     pose[:, 3] = q.new_tensor([front + TABLE_AHEAD + length / 2, 0.0, (low + high) / 2])
@@ -122,9 +160,16 @@ def _clear_of_table(arm: ArmModel, body: Solids, q: Tensor, front: float) -> Ten
 
 def clear_of_robot(arm: ArmModel, scene: Scene, q: Tensor) -> Tensor:
     """(B,) whether an arm in postures (B, n) touches neither itself nor others of the robot."""
-    robot = (scene.pairs[:, :2] >= OWN).all(1)
-    alone = replace(scene, pairs=scene.pairs[robot], reach=scene.reach[robot])
-    return _clear_of_nothing_else(arm, alone, torch.full((len(q),), REACH), q)
+    return _clear_of(arm, _kept(scene, (scene.pairs[:, :2] >= OWN).all(1)), q)
+
+
+def shoulders_clear(arm: ArmModel, body: Solids, q: Tensor) -> Tensor:
+    """(B,) whether an arm's first links are clear of the body in postures (B, n)."""
+    return _clear_of(arm, shoulder_scene(arm, body), q)
+
+
+def _clear_of(arm: ArmModel, scene: Scene, q: Tensor) -> Tensor:
+    return _clear_of_nothing_else(arm, scene, torch.full((len(q),), REACH), q)
 
 
 def _clear_of_nothing_else(arm: ArmModel, scene: Scene, kind: Tensor, q: Tensor) -> Tensor:
@@ -224,8 +269,8 @@ def _computed(
 ) -> Tensor:
     """The best of many random postures: raised, near the body, and clear of it and of other arms.
 
-    It is clear of tables before the robot, too, if there is such a posture. A hand below the height
-    of tables would first have to come up past their edges.
+    Its first links are clear of the body, and it is clear of tables before the robot, if there is
+    such a posture. A hand below the height of tables would first have to come up past their edges.
     """
     q = random_postures(arm, SAMPLES)
     frames = arm.frames(q)
@@ -244,13 +289,24 @@ def _computed(
     crossed = (radius - side * points[..., 1]).clamp_min(0).amax(1) if side else 0.0
     height = (below * hand).amax(1)
     cost = beyond.amax(1) + height + BELOW_COSTS * (under + crossed)
-    best = q[cost.argsort()[:TRIED]]
-    clear = _clear_at_home(arm, body, others, best)
+    order = q[cost.argsort()]
+    rated = _rated(arm, body, others, order[:TRIED], x_max)
+    if rated.amax() < OFF_BODY:
+        rated = torch.cat([rated, _rated(arm, body, others, order[TRIED:], x_max)])
+    return order[int(rated.argmax())]
+
+
+def _rated(arm: ArmModel, body: Solids, others: Solids, q: Tensor, front: float) -> Tensor:
+    """(B,) how good postures (B, n) are as home, from 0 to 4; from `OFF_BODY` on nothing touches.
+
+    The first links may have to touch the body, and tables may be in the way of any posture.
+    """
+    clear = _clear_at_home(arm, body, others, q)
     if len(others):  # which must be clear of this arm, too, whose hand is a box to them
         boxed = replace(arm, solids=with_boxed_hand(arm.solids, len(arm.lower)))
-        clear &= _clear_at_home(boxed, body, others, best, len(boxed.solids) + len(body))
-    free = clear & _clear_of_table(arm, body, best, x_max)
-    return best[int((free if free.any() else clear).long().argmax())]
+        clear &= _clear_at_home(boxed, body, others, q, len(boxed.solids) + len(body))
+    off, free = shoulders_clear(arm, body, q).long(), _clear_of_table(arm, body, q, front).long()
+    return clear * (1 + (OFF_BODY - 1) * off + free)
 
 
 def _clear_at_home(
@@ -259,5 +315,4 @@ def _clear_at_home(
     """(B,) whether postures (B, n) are clear of the robot's solids, from one of them on."""
     scene = scene_of(arm, body, others)
     robot = (scene.pairs[:, :2] >= OWN).all(1) & (scene.pairs[:, 1] >= OWN + least)
-    alone = replace(scene, pairs=scene.pairs[robot], reach=scene.reach[robot])
-    return _clear_of_nothing_else(arm, alone, torch.full((len(q),), REACH), q)
+    return _clear_of(arm, _kept(scene, robot), q)

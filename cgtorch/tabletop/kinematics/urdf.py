@@ -12,8 +12,8 @@ from lxml import etree
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.ground.files import read_bytes
-from cgtorch.tabletop.kinematics.dialects import bounded, completed
-from cgtorch.tabletop.kinematics.followers import led
+from cgtorch.tabletop.kinematics.dialects import bounded, completed, without_namespace
+from cgtorch.tabletop.kinematics.followers import first_leads, led
 from cgtorch.tabletop.kinematics.valid import MOST, check_joint, check_numbers, check_tree
 from cgtorch.tabletop.kinematics.valid import MOVING as MOVING
 
@@ -101,16 +101,18 @@ def read_urdf(path: Path, notes: list[str] | None = None) -> Any:
     """The elements of a valid URDF, whose inertias are not checked.
 
     With notes, limits whose lower one is above the upper one are turned round, which is noted, and
-    so is a joint that turns without end as its limit has no ends, or is held still as what it
-    follows is.
+    so is a joint that turns without end as its limit has no ends, is held still as what it follows
+    is, or leads what it followed, as that is farther out.
     """
     where = f"URDF {str(path)!r}"
     data = read_bytes(path, MAX_BYTES, RobotError)
     root = parsed(data, where)
+    is_xacro = any(str(element.tag).startswith(XACRO) for element in root.iter())
+    without_namespace(root)
     if root.tag != "robot":
         raise RobotError(f"{where} starts with <{root.tag}>: give a file that starts with <robot>")
     unfilled = root.find("link") is None or b"${" in data
-    if unfilled and any(str(element.tag).startswith(XACRO) for element in root.iter()):
+    if unfilled and is_xacro:
         raise RobotError(f"{where} is a xacro file: make a URDF of it by `xacro FILE > robot.urdf`")
     unlimited = bounded(root)
     if notes is not None:
@@ -127,6 +129,11 @@ def read_urdf(path: Path, notes: list[str] | None = None) -> Any:
         notes.append(
             f"{', '.join(still)}: held still, as what they follow does not move, is not there, or "
             "follows them in a circle; correct <mimic> if they should move"
+        )
+    if notes is not None:
+        notes.extend(
+            f"{first!r} leads {last!r} now, which it followed in the URDF, as it is before that"
+            for first, last in first_leads(root).items()
         )
     return root
 

@@ -64,12 +64,26 @@ WorldIn: TypeAlias = Callable[[Physics, Scenarios], ObservedTabletop]
 
 
 def film_of(
-    skill: Skill, physics: Physics, world_in: WorldIn, scenario: Scenarios, width: int = WIDTH
+    skill: Skill, physics: Physics, world_in: WorldIn, scenarios: Scenarios, width: int = WIDTH
 ) -> Film:
-    """The film of a skill on one scenario, with contact points marked.
+    """The film of a skill on the first scenario on which it moves anything, with contacts marked.
 
-    SettingsError if this machine cannot draw.
+    SettingsError if this machine cannot draw, or the skill moves nothing on any of them.
     """
+    for number in range(len(scenarios)):
+        if film := _film_of_one(skill, physics, world_in, scenarios[number : number + 1], width):
+            return film
+    which = "this scenario" if len(scenarios) == 1 else f"any of {len(scenarios)} scenarios"
+    raise SettingsError(
+        f"skill {skill.name!r} moves nothing on {which}; try others, as those that it was trained "
+        "on (--scenarios near for one of S0)"
+    )
+
+
+def _film_of_one(
+    skill: Skill, physics: Physics, world_in: WorldIn, scenario: Scenarios, width: int
+) -> Film | None:
+    """The film of a skill on one scenario; None if it moves nothing there."""
     camera = Camera(scenario, width)
     watched = replace(physics, watch=camera, models={})
     try:
@@ -77,8 +91,4 @@ def film_of(
     finally:
         for each in camera.renderers.values():
             each.close()
-    if not camera.pictures:
-        raise SettingsError(
-            f"skill {skill.name!r} moves nothing on this scenario; try another one (--seed 1)"
-        )
-    return Film(camera.pictures, LASTS, end, camera.acts)
+    return Film(camera.pictures, LASTS, end, camera.acts) if camera.pictures else None

@@ -25,7 +25,6 @@ HAND_JOINTS = 3
 them."""
 CLAW = 0.2  # of the length of an arm, that of claws of one joint beside each other at most
 PAIR = 0.5  # of it, that of such claws at most if one follows another
-TOLD = 3  # joints of a chain that is no arm from which it is told
 ON_FLOOR = 0.05  # m: links within this distance of the lowest point stand on the floor
 LEAST_FINGERS = 3  # of a hand that no arm carries
 DOWN = 0.5  # of the reach of a leg, how far below its begin the floor is
@@ -136,8 +135,9 @@ def _beside(
 
 
 def told(chains: Sequence[Chain]) -> str:
-    """What is no arm, and why, in words; "" if there is nothing."""
-    others = [c for c in chains if c.kind != ARM and (len(c.own) >= TOLD or c.kind != SHORT)]
+    """What is no arm, and why, in words; "" if there is nothing. Wheels are not told."""
+    wheels = [all(joint.type == "continuous" for joint in chain.own) for chain in chains]
+    others = [c for c, wheel in zip(chains, wheels, strict=True) if c.kind != ARM and not wheel]
     return "; ".join(f"{chain} ({chain.kind})" for chain in others)
 
 
@@ -191,7 +191,9 @@ def _hand_alone(structure: Structure, found: list[Chain]) -> set[str]:
     short = [
         chain
         for chain in found
-        if len(chain.own) >= TOLD and not chain.fingers and is_finger(structure, chain.own[0])
+        if len(chain.own) >= HAND_JOINTS
+        and not chain.fingers
+        and is_finger(structure, chain.own[0])
     ]
     begins = Counter(chain.before for chain in short)
     return {chain.link for chain in short if begins[chain.before] >= LEAST_FINGERS}

@@ -6,11 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cgtorch.tabletop.robot_folder.opposed import closing, sides
 from cgtorch.tabletop.robot_folder.round_hands import around, opened_outward
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
+from cgtorch.tabletop.robot_folder.tips import Tip, tip_of
 
 MOST_TRIED = 5  # finger joints of which every combination is tried
+WIDER = 0.005  # m by which another joint's end has to open them farther, where there are more
 JAW_OPEN, STEPS = 0.1, 17  # m between its tip and the hand's, and positions that are tried
 FROM_TIP = 0.02  # m from the finger tips to the middle of an object
 NEAR_TIP = (-0.06, 0.005)  # m along the approach, where a frame that is there may be
@@ -22,6 +26,22 @@ ASIDE = 0.015  # m across it
 ALONG, ACROSS = 0.95, 0.9  # cosines by which axes of a frame that is there may differ
 LED = 0.8  # cosine of a last joint's axis to the way to the fingers from which it leads there
 ROUNDING = 1e-6  # m, or of unit vectors
+SHORT = 0.5  # of the length of short fingers, how far behind their tips an object is held
+
+
+@dataclass(frozen=True)
+class Across:
+    """How fingers oppose each other.
+
+    Attributes:
+        y: (3,) the unit vector along which they close.
+        sides: Which of them are farthest along it, and which least.
+        tips: Which of the points of each are at its tip.
+    """
+
+    y: Array
+    sides: tuple[NDArray[np.bool_], NDArray[np.bool_]]
+    tips: tuple[NDArray[np.bool_], ...]
 
 
 @dataclass(frozen=True)
@@ -33,12 +53,14 @@ class Tool:
         parent: The link that carries it.
         pose: (4, 4) in that link's frame: x along the approach, y across the fingers.
         fingers: Whether there are fingers; without them, the direction of the last joint is used.
+        beyond: The link of a tool that points another way, beyond whose tip the frame is, or "".
     """
 
     link: str | None
     parent: str
     pose: Array
     fingers: bool
+    beyond: str = ""
 
 
 def open_fingers(structure: Structure, hand: str) -> dict[str, float]:
@@ -56,16 +78,52 @@ def open_fingers(structure: Structure, hand: str) -> dict[str, float]:
     ends = [(float(joint.limit.lower), float(joint.limit.upper)) for joint in joints]
     if len(joints) == 1 == len(structure.moved(hand)):
         return _jaw_opened(structure, hand, names[0], *ends[0])
-    every = itertools.product(*ends) if len(names) <= MOST_TRIED else zip(*ends, strict=True)
-    best, widest = dict[str, float](), -1.0
-    for positions in every:
-        tried = dict(zip(names, positions, strict=True))
-        structure.urdf.model.update_cfg(tried)
-        opening = _opening(structure, hand)
-        if opening > widest + ROUNDING:
-            best, widest = tried, opening
+    across, every = _across_fingers(structure, hand), len(names) <= MOST_TRIED
+    combinations = itertools.product(*ends) if every else zip(*ends, strict=True)
+    tried = [dict(zip(names, positions, strict=True)) for positions in combinations]
+    best, widest = _widest(structure, hand, across, tried, {}, -math.inf)
+    for name, both in [] if every or across is None else zip(names, ends, strict=True):
+        others = [best | {name: end} for end in both]  # a thumb may open the other way than fingers
+        wider, opening = _widest(structure, hand, across, others, best, widest + WIDER)
+        best, widest = (wider, opening) if wider is not best else (best, widest)
     structure.urdf.model.update_cfg(best)
     return best
+
+
+def _widest(
+    structure: Structure,
+    hand: str,
+    across: Across | None,
+    tried: Sequence[dict[str, float]],
+    best: dict[str, float],
+    least: float,
+) -> tuple[dict[str, float], float]:
+    """The positions at which a hand opens farthest, and how far, m; `best` if none is wider."""
+    for positions in tried:
+        structure.urdf.model.update_cfg(positions)
+        if (opening := _opening(structure, hand, across)) > least + ROUNDING:
+            best, least = positions, opening
+    return best, least
+
+
+def _across_fingers(structure: Structure, hand: str) -> Across | None:
+    """How the fingers of a hand at rest oppose each other; None if they do not."""
+    fingers = _branches(structure, hand)
+    if len(fingers) < 2:
+        return None
+    x = _approach(structure, hand, np.concatenate(fingers).mean(axis=0))
+    centres = [finger.mean(axis=0) for finger in fingers]
+    y = closing(structure, hand, x, centres)
+    both = None if y is None else sides(y, centres)
+    if y is None or both is None:
+        return None
+    return Across(y, both, tuple(_at_tip(points) for points in fingers))
+
+
+def _at_tip(points: Array) -> NDArray[np.bool_]:
+    """Which points of a finger, in the hand's frame, are at its tip: the farthest quarter."""
+    away = np.linalg.norm(points, axis=1)
+    return np.asarray(away >= np.quantile(away, 0.75))
 
 
 def _jaw_opened(
@@ -96,12 +154,19 @@ def _branches(structure: Structure, hand: str) -> list[Array]:
     return found
 
 
-def _opening(structure: Structure, hand: str) -> float:
-    """The distance of the two fingers that are farthest apart at their tips, m."""
-    tips = []
-    for points in _branches(structure, hand):
-        away = np.linalg.norm(points, axis=1)
-        tips.append(points[away >= np.quantile(away, 0.75)].mean(axis=0))
+def _opening(structure: Structure, hand: str, across: Across | None = None) -> float:
+    """The distance of the two fingers that are farthest apart at their tips, m.
+
+    Of fingers that oppose each other, it is the distance of their tips along the direction in which
+    they close, which is below 0 where they have passed each other.
+    """
+    fingers = _branches(structure, hand)
+    if across is not None and len(fingers) == len(across.tips):
+        tips = [points[tip].mean(axis=0) for points, tip in zip(fingers, across.tips, strict=True)]
+        along = np.stack(tips) @ across.y
+        far, near = across.sides
+        return float(along[far].mean() - along[near].mean())
+    tips = [points[_at_tip(points)].mean(axis=0) for points in fingers]
     pairs = itertools.combinations(tips, 2)
     return max((float(np.linalg.norm(a - b)) for a, b in pairs), default=0.0)
 
@@ -110,48 +175,69 @@ def tool_of(structure: Structure, hand: str) -> Tool:
     """The tool frame of a hand with open fingers: between their tips, or before an end without any.
 
     x is the axis of the last joint if it leads to the fingers, else the best axis of the hand's
-    frame; y leads to one finger from another, or from the middle of others around an axis. A link
-    of the URDF with nearly this frame is used.
+    frame; y leads along the direction in which they close, or from the middle of others around an
+    axis. A link of the URDF with nearly this frame is used. A tool that points another way than the
+    last joint, or lies beside it, has its frame before its own tip.
     """
     fingers = _branches(structure, hand)
     points = np.concatenate(fingers) if fingers else structure.seen(structure.rigid(hand), hand)
     points = points if len(points) else np.zeros((1, 3))
     x = _approach(structure, hand, points.mean(axis=0))
-    centres = [finger.mean(axis=0) for finger in fingers]
-    pair = _opposed(structure, hand, centres)
-    one, other, middle = (np.zeros(3),) * 3 if pair is None else pair
-    y = _across(x, one - other)
-    tip = float((points @ x).max())
+    tip = None if fingers else tip_of(structure, hand)
+    if tip is not None and _leads_aside(tip, x):
+        pose = _frame(tip.way, np.zeros(3), tip.at + BEYOND_END * tip.way)
+        return Tool(None, hand, pose, fingers=False, beyond=tip.link)
+    y, middle = _held(structure, hand, x, [finger.mean(axis=0) for finger in fingers])
+    low, end = float((points @ x).min()), float((points @ x).max())
     if not fingers:
-        tip = max(tip, _wrist_end(structure, hand, x))
-    hold, (near, far) = (-FROM_TIP, NEAR_TIP) if fingers else (BEYOND_END, BEYOND)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([x, y, np.cross(x, y)], axis=1)
-    pose[:3, 3] = middle + x * (tip + hold - middle @ x)
+        end = max(end, _wrist_end(structure, hand, x))
+    back = min(FROM_TIP, SHORT * (end - low))
+    hold, (near, far) = (-back, NEAR_TIP) if fingers else (BEYOND_END, BEYOND)
+    near = max(near, low - end) if fingers and back < FROM_TIP else near
+    pose = _frame(x, np.zeros(3) if y is None else y, middle + x * (end + hold - middle @ x))
     for link in sorted(structure.rigid(hand), key=lambda link: _away(structure, hand, link, pose)):
         own = np.asarray(structure.urdf.model.get_transform(link, hand))
         shift = own[:3, 3] - pose[:3, 3]
-        along = float(shift @ x) - FROM_TIP * bool(fingers)
+        along = float(shift @ x) - back * bool(fingers)
         aside = float(np.linalg.norm(shift - (shift @ x) * x))
-        straight = own[:3, 0] @ x > ALONG and (pair is None or abs(own[:3, 1] @ y) > ACROSS)
+        straight = own[:3, 0] @ x > ALONG and (y is None or abs(own[:3, 1] @ pose[:3, 1]) > ACROSS)
         if straight and aside < ASIDE and near <= along <= far:
             return Tool(link, hand, own, bool(fingers))
     return Tool(None, hand, pose, bool(fingers))
 
 
-def _opposed(
-    structure: Structure, hand: str, centres: Sequence[Array]
-) -> tuple[Array, Array, Array] | None:
-    """A finger, what it closes against, and the middle of the hand; None without two fingers.
+def _frame(x: Array, across: Array, place: Array) -> Array:
+    """A pose (4, 4) at a place, from its x, and about what its y is."""
+    y, pose = _across(x, across), np.eye(4)
+    pose[:3, :3] = np.stack([x, y, np.cross(x, y)], axis=1)
+    pose[:3, 3] = place
+    return pose
 
-    These are the two fingers that are farthest apart, or one of several around an axis, and the
-    middle of the others.
+
+def _leads_aside(tip: Tip, x: Array) -> bool:
+    """Whether a tip points another way than x, or lies beside x from the last joint on."""
+    off = tip.at - (tip.at @ x) * x
+    return bool(tip.way @ x < ALONG or np.linalg.norm(off) > ASIDE)
+
+
+def _held(
+    structure: Structure, hand: str, x: Array, centres: Sequence[Array]
+) -> tuple[Array | None, Array]:
+    """The way across fingers with some centres, None without two of them, and their middle.
+
+    Several around an axis have that from the middle of the others to one. Others have the direction
+    in which they close, or else that of the two that are farthest apart.
     """
     if around(structure, hand):
-        return centres[0], np.mean(centres[1:], axis=0), np.mean(centres, axis=0)
+        return centres[0] - np.mean(centres[1:], axis=0), np.mean(centres, axis=0)
+    y = closing(structure, hand, x, centres) if len(centres) > 2 else None
+    if y is not None:
+        every, both = np.stack(centres), sides(y, centres)
+        far, near = (every, every) if both is None else (every[side] for side in both)
+        return y, (far.mean(axis=0) + near.mean(axis=0)) / 2
     pairs = itertools.combinations(centres, 2)
     pair = max(pairs, default=None, key=lambda pair: float(np.linalg.norm(pair[0] - pair[1])))
-    return None if pair is None else (*pair, (pair[0] + pair[1]) / 2)
+    return (None, np.zeros(3)) if pair is None else (pair[0] - pair[1], (pair[0] + pair[1]) / 2)
 
 
 def _wrist_end(structure: Structure, hand: str, x: Array) -> float:

@@ -9,7 +9,11 @@ from torch import Tensor
 
 from cgtorch.tabletop.kinematics import Robot, graspable
 from cgtorch.tabletop.kinematics.arm import ArmModel
-from cgtorch.tabletop.kinematics.scene import clear_of_robot
+from cgtorch.tabletop.kinematics.scene import (
+    clear_of_robot,
+    shoulders_clear,
+    shoulders_touching,
+)
 from cgtorch.tabletop.robot_folder.chains import slides_upright
 from cgtorch.tabletop.robot_folder.reach import (
     AHEAD,
@@ -53,8 +57,26 @@ def _others(robot: Robot) -> Iterator[Robot]:
         seen.append(homes)
         other = replace(robot, home=homes)
         every = zip(robot.arms, other.scenes, homes, strict=True)
-        if all(bool(clear_of_robot(arm, scene, q[None]).all()) for arm, scene, q in every):
+        if all(
+            bool(clear_of_robot(arm, scene, q[None]) & shoulders_clear(arm, robot.body, q[None]))
+            for arm, scene, q in every
+        ):
             yield other
+
+
+def touching_at_home(robot: Robot) -> list[str]:
+    """Notes on the first links of arms that touch the body at home, which ways do not check."""
+    apart = {frozenset(pair) for pair in robot.description.excludes}
+    notes = []
+    for arm, q in zip(robot.arms, robot.home, strict=True):
+        both = {
+            (arm.solid_links[i], robot.body_links[k]): None
+            for i, k in shoulders_touching(arm, robot.body, q)
+        }
+        if touch := [pair for pair in both if frozenset(pair) not in apart]:
+            named = ", ".join(f"{link!r} touches {body!r}" for link, body in touch)
+            notes.append(f"at home of arm {arm.name!r} {named}: give another home by --home")
+    return notes
 
 
 def _postures(robot: Robot, arm: ArmModel) -> tuple[Tensor, Tensor, Tensor]:

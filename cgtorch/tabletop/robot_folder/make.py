@@ -5,6 +5,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,19 +20,23 @@ from cgtorch.tabletop.kinematics.description import DESCRIPTION, RobotDescriptio
 from cgtorch.tabletop.kinematics.fitted import MeshFit, without_meshes
 from cgtorch.tabletop.kinematics.meshes import package_places
 from cgtorch.tabletop.kinematics.urdf import Urdf, checked_urdf, read_urdf
-from cgtorch.tabletop.robot_folder.homes import better_home
-from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
+from cgtorch.tabletop.robot_folder.fonts import fonts_for, without_glyph_warnings
+from cgtorch.tabletop.robot_folder.homes import better_home, touching_at_home
+from cgtorch.tabletop.robot_folder.proposal import Proposal, Wishes, propose
 from cgtorch.tabletop.robot_folder.reach import Reached, reached
 from cgtorch.tabletop.robot_folder.solid import solid, sound_inertials
 from cgtorch.tabletop.robot_folder.srdf import Semantics, read_srdf, srdf_beside
+from cgtorch.tabletop.robot_folder.stands import better_stand
 from cgtorch.tabletop.robot_folder.still import without_still
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
+from cgtorch.tabletop.robot_folder.turns import turned_over, turns_fully
 from cgtorch.tabletop.robot_folder.units import check_units, far_meshes
 
 URDF, PICTURE, SHAPES = "robot.urdf", "robot.png", "shapes.json"
 VIEWS = (("from the right", 0, 2), ("from the front", 1, 2), ("from above", 0, 1))
 """The views, and which of x, y and z go to the right and up."""
 REST, BODY, ARMS = "#b0b7bf", "#4a5a6a", ("#d95f02", "#1b9e77", "#7570b3", "#e7298a")
+LIMITS_FIRST = "its limits look like degrees, as said above, so correct them first"
 AXIS = 0.12  # m: how long the axes of a tool frame are drawn
 
 
@@ -79,23 +84,82 @@ def make_robot_folder(
     plain, notes = solid(plain)
     plain, inertials = sound_inertials(plain)
     wishes = _with_semantics(wishes or Wishes(), semantics)
-    proposal = propose(plain, wishes, _corners(read, meshes), still)
+    corners = _corners(read, meshes)
+    proposal = propose(plain, wishes, corners, still)
     with whole_folder(folder) as place:
-        write_bytes(place / URDF, proposal.urdf.xml)
-        words = proposal.words
         try:
-            robot, tried = _at_its_home(place, words, wishes.stand)
+            robot, tried, over = _either_way_round(place, plain, proposal, wishes.stand)
         except RobotError as error:
             raise RobotError(str(error).replace(str(place), str(folder))) from None
+        if odd and tried.why:
+            tried = dataclasses.replace(tried, why=f"{tried.about}; {LIMITS_FIRST}")
+        elif not tried.somewhere:
+            tried = _on_a_stand(tried, plain, wishes, corners, proposal.words)
         write_json(place / SHAPES, [_record(each) for each in meshes])
         write_bytes(place / PICTURE, robot_picture(robot))
     return Made(
         robot,
         meshes,
         inertials,
-        (*semantics.notes, *odd, *far_meshes(meshes), *mended, *notes, *proposal.notes),
+        (
+            *semantics.notes,
+            *odd,
+            *far_meshes(meshes),
+            *mended,
+            *notes,
+            *proposal.notes,
+            *over,
+            *touching_at_home(robot),
+        ),
         tried,
     )
+
+
+def _either_way_round(
+    place: Path, plain: Urdf, proposal: Proposal, stand: float
+) -> tuple[Robot, Reached, list[str]]:
+    """The robot in its folder, what it can grasp, and a note if its tool frames are turned over.
+
+    Those that were added are if it can grasp nothing anywhere, but something then.
+    """
+    words, structure = proposal.words, Structure(proposal.urdf, proposal.words.base_frame)
+    known = {link.name for link in plain.model.robot.links}
+    added = [arm.tool_frame for arm in words.arms if arm.tool_frame not in known]
+    added = [frame for frame in added if not turns_fully(structure, frame)]
+    write_bytes(place / URDF, proposal.urdf.xml)
+    robot, tried = _at_its_home(place, words, stand)
+    if tried.somewhere or not added:
+        return robot, tried, []
+    write_bytes(place / URDF, turned_over(proposal.urdf, added).xml)
+    other, then = _at_its_home(place, words, stand)
+    if then.somewhere:
+        frames = ", ".join(map(repr, added))
+        return other, then, [f"{frames}: turned by half a turn about x, to grasp something at all"]
+    write_bytes(place / URDF, proposal.urdf.xml)
+    return _loaded(place, robot.description), tried, []
+
+
+def _on_a_stand(
+    tried: Reached,
+    plain: Urdf,
+    wishes: Wishes,
+    corners: Mapping[str, Sequence[Array]],
+    words: RobotDescription,
+) -> Reached:
+    """What a robot that can grasp nothing can, with the advice of a stand if one helps."""
+
+    def on_stand(height: float) -> Robot | None:
+        other = propose(plain, dataclasses.replace(wishes, stand=height), corners)
+        if other.words.footprint == words.footprint:
+            return None
+        with TemporaryDirectory() as folder:
+            write_bytes(Path(folder) / URDF, other.urdf.xml)
+            return _loaded(Path(folder), other.words)
+
+    if wishes.base_frame is not None:  # which is where it is
+        return tried
+    advice = better_stand(on_stand, wishes.stand)
+    return dataclasses.replace(tried, why=f"{tried.about}; {advice}") if advice else tried
 
 
 def _at_its_home(place: Path, words: RobotDescription, stand: float) -> tuple[Robot, Reached]:
@@ -211,10 +275,11 @@ def robot_picture(robot: Robot) -> bytes:
         axes.set(aspect="equal", title=view)
         axes.set(xlabel=f"{'xyz'[right]} [m]", ylabel=f"{'xyz'[up]} [m]")
         axes.grid(alpha=0.3)
-    figure.suptitle(words.name)
+    figure.suptitle(words.name, family=fonts_for(words.name))
     robot.urdf.model.update_cfg(words.held)
     file = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(file)
+    with without_glyph_warnings():
+        FigureCanvasAgg(figure).print_png(file)
     return file.getvalue()
 
 

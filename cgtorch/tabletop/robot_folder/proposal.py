@@ -222,7 +222,8 @@ def _arms(
 
 def _where(tool: Tool) -> str:
     x, y, z = tool.pose[:3, 3]
-    place = "between its finger tips" if tool.fingers else f"{BEYOND_END} m beyond its end"
+    end = f"{tool.beyond!r}, the way it points" if tool.beyond else "its end"
+    place = "between its finger tips" if tool.fingers else f"{BEYOND_END} m beyond {end}"
     return f"{place}, at ({x:.3f}, {y:.3f}, {z:.3f}) m in {tool.parent!r}"
 
 

@@ -16,6 +16,7 @@ from cgtorch.tabletop.kinematics.grasping import (
     places_of,
     waypoints,
 )
+from cgtorch.tabletop.kinematics.scene import random_postures
 from cgtorch.tabletop.kinematics.urdf import MOVING, at_rest
 from cgtorch.tabletop.robot_folder.structure import Structure
 
@@ -46,11 +47,13 @@ class Reached:
         grasps: (9,) bool.
         why: Why there is none, and what suits better, in a sentence; "" if there is one.
         somewhere: Whether it can grasp one of these, or one at another height or distance.
+        about: How long and high the arm is that is nearest to an object, if there is none.
     """
 
     grasps: Tensor
     why: str = ""
     somewhere: bool = True
+    about: str = ""
 
 
 def reached(robot: Robot, stand: float = 0.0) -> Reached:
@@ -68,12 +71,13 @@ def reached(robot: Robot, stand: float = 0.0) -> Reached:
         most = int(graspable(robot, *objects(robot, height)).sum())
         reason = "" if far else f"; {_hindered(robot, nearest, HEIGHT)}"
         advice = _better(height, most, stand) + _lifted(robot, height)
-        return Reached(grasps, f"{about}{reason}; {advice}")
+        return Reached(grasps, f"{about}{reason}; {advice}", about=about)
     if not _approached(robot, nearest) and (farther := _farther(robot)):
-        return Reached(grasps, f"{about}; {farther}")
-    reason = f"; nor can it at any height from {min(OTHERS):g} to {max(OTHERS):g} m"
+        return Reached(grasps, f"{about}; {farther}", about=about)
+    reason = f"; nor can it at any height that was tried, from {min(OTHERS):g} to {max(OTHERS):g} m"
     suits = min((HEIGHT, *OTHERS), key=lambda height: abs(height - shoulder))
-    return Reached(grasps, f"{about}{reason}; {_hindered(robot, nearest, suits)}", somewhere=False)
+    hindered = _beside_footprint(robot, nearest) or _hindered(robot, nearest, suits)
+    return Reached(grasps, f"{about}{reason}; {hindered}", somewhere=False, about=about)
 
 
 def objects(robot: Robot, height: float, ahead: float = AHEAD) -> tuple[Tensor, Tensor]:
@@ -183,6 +187,21 @@ def _hindered(robot: Robot, which: int, height: float) -> str:
     return (
         f"{come}, clear ones at {clear}, and follows {follows} of them, but no clear way leads "
         "there from home: give another one by --home"
+    )
+
+
+def _beside_footprint(robot: Robot, which: int) -> str:
+    """That an arm's tool comes nowhere beyond the footprint to objects, if it does not; or ""."""
+    arm = robot.arms[which]
+    along = arm.frames(random_postures(arm, POSTURES))[:, :, 0, 3]
+    farthest, shoulder = float(along[-1].max()), float(along[1].min())
+    edge, before = robot.description.footprint[1], AHEAD + DEPTHS[0]
+    if farthest >= edge + before or farthest < shoulder + before:  # as it is too short anyway
+        return ""
+    return (
+        f"in none of {POSTURES} postures its tool is more than {farthest:.2f} m ahead of the base "
+        f"frame, but the footprint ends at {edge:.2f} m, and objects begin {before:.2f} "
+        "m before it: give a smaller one by --footprint if a table may stand in it"
     )
 
 

@@ -5,15 +5,18 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from lxml import etree
 from scipy.spatial.transform import Rotation
 
-from cgtorch.tabletop.kinematics.urdf import MOVING, mimic_of
+from cgtorch.tabletop.kinematics.origins import add_origin, pose_of
+from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf, checked_urdf, mimic_of
 from cgtorch.tabletop.robot_folder.structure import Array, Structure
 
 POSTURES = 16384  # random ones of an arm
 FORWARD, SLANTED = 0.8, 0.8  # of an approach: at least along x, and at most downwards
 LEVEL = 0.26  # of the direction across the fingers, at most up or down
 RARE = 1 / 3  # of the postures with the frame upside down, those with it upright that are too few
+FULL = 6.1  # rad, nearly a full turn
 OVER = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x
 
 
@@ -29,6 +32,24 @@ def upright(structure: Structure, chain: Sequence[Any], link: str, pose: Array) 
     held = ahead & (np.abs(y[:, 2]) < LEVEL)
     up, down = int((held & (z[:, 2] > 0)).sum()), int((held & (z[:, 2] < 0)).sum())
     return np.asarray(pose @ OVER) if up < RARE * down else pose
+
+
+def turned_over(urdf: Urdf, frames: Sequence[str]) -> Urdf:
+    """A URDF whose links of some names, which fixed joints carry, are turned by half a turn."""
+    root = etree.fromstring(urdf.xml)
+    for joint in root.findall("joint"):
+        if joint.find("child").get("link") in frames:
+            pose = pose_of(joint) @ OVER
+            joint.remove(joint.find("origin"))
+            add_origin(joint, pose)
+    return checked_urdf(urdf.path, root)
+
+
+def turns_fully(structure: Structure, link: str) -> bool:
+    """Whether the last joint before a link turns by so much that it may be held both ways round."""
+    *_, last = structure.path(link)
+    low, high = _ends(last)
+    return last.type != "prismatic" and high - low > FULL
 
 
 def _turns(structure: Structure, chain: Sequence[Any], link: str) -> Rotation:

@@ -127,6 +127,17 @@ def test_a_joint_follows_one_before_it(folder):
         read(folder, rows)
 
 
+def test_an_arm_does_not_move_its_own_base(folder):
+    rows = [*ROWS]
+    rows[0] = (*rows[0][:5], ("lift", 1, 0))
+    with pytest.raises(RobotError, match=r"'pan', which follows 'lift'.* in a robot folder by cgt"):
+        read(folder, rows)
+    words = (folder / "robot.json").read_text()
+    (folder / "robot.json").write_text(words.replace('"base_link": "base"', '"base_link": "pan"'))
+    with pytest.raises(RobotError, match="'pan' moves, as it follows 'lift' of the arm: begin the"):
+        load_robot(folder / "a.urdf")
+
+
 def test_a_joint_may_follow_one_that_follows(folder):
     rows = [(*row[:5], ("level", 2.0, 0.1)) if row[0] == "further" else row for row in ROWS]
     (arm,) = read(folder, rows).arms

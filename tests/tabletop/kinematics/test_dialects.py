@@ -97,3 +97,15 @@ def test_limits_that_are_infinite_are_none(tmp_path):
 def test_a_robot_without_a_name_is_called_robot(tmp_path, name):
     (tmp_path / "a.urdf").write_text(f'<robot{name}><link name="a"/></robot>')
     assert load_urdf(tmp_path / "a.urdf").model.robot.name == "robot"
+
+
+def test_a_default_namespace_is_no_part_of_the_names(tmp_path):
+    text = ROBOT.format("", "revolute", '<limit lower="0" upper="1"/>')
+    named = text.replace("<robot>", '<robot xmlns="http://ros.org" xmlns:g="http://g"><g:own/>')
+    (tmp_path / "a.urdf").write_text(named)
+    read = load_urdf(tmp_path / "a.urdf")
+    assert [link.name for link in read.model.robot.links] == ["a", "b"]
+    assert b"<link " in read.xml
+    (tmp_path / "a.urdf").write_text('<sdf xmlns="http://ros.org"/>')
+    with pytest.raises(RobotError, match="give a file that starts with <robot>"):
+        load_urdf(tmp_path / "a.urdf")

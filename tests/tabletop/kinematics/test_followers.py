@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_urdfs import LIMIT, box, joint, link, urdf_of
 
-from cgtorch.tabletop.kinematics.followers import led
+from cgtorch.tabletop.kinematics.followers import first_leads, led
 from cgtorch.tabletop.kinematics.urdf import checked_urdf, load_urdf, read_urdf
 
 
@@ -64,3 +64,51 @@ def test_a_slide_is_held_along_its_axis(tmp_path):
     place = load_urdf(path).model.get_transform("b", "base")[:3, 3]
     np.testing.assert_allclose(place, [0, 0.1, 0.1])
     assert led(read_urdf(path)) == []
+
+
+def slides(*followers, kind="prismatic", more=LIMIT, beside=""):
+    """Links a, b, ... on each other, whose joints follow the last, which has a kind and limit."""
+    parts, above = [link("base", box())], "base"
+    for name, (factor, offset) in zip("abc", followers, strict=False):
+        parts += [
+            link(name),
+            joint(name, above, kind="prismatic", more=follows("z_joint", factor, offset)),
+        ]
+        above = name
+    return [*parts, link("z"), joint("z", above, kind=kind, more=more), beside]
+
+
+def test_the_first_of_a_telescope_leads_the_others_as_they_moved_before(tmp_path, caplog):
+    caplog.set_level(logging.ERROR)
+    wide = LIMIT.replace('"-1"', '"0"').replace('"1"', '"0.5"', 1)
+    beside = link("d") + joint("d", "base", kind="prismatic", more=follows("z_joint", 3, 0.2))
+    path = urdf_of(tmp_path, *slides((-2, 0.1), (1, 0), more=wide, beside=beside))
+    before, notes = load_urdf(path), list[str]()
+    after = checked_urdf(path, read_urdf(path, notes))
+    assert notes == [
+        "'a_joint' leads 'z_joint' now, which it followed in the URDF, as it is before that"
+    ]
+    limit = after.joint("a_joint").limit
+    assert (limit.lower, limit.upper) == pytest.approx((-0.9, 0.1))
+    assert {after.joint(f"{name}_joint").mimic.joint for name in "bzd"} == {"a_joint"}
+    for share in (0, 0.3, 0.5):
+        before.model.update_cfg({"z_joint": share})
+        after.model.update_cfg({"a_joint": 0.1 - 2 * share})
+        for name in "abzd":
+            poses = (each.model.get_transform(name, "base") for each in (before, after))
+            np.testing.assert_allclose(*poses, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        slides((1, 0), kind="continuous", more=""),  # without ends that the first could have
+        slides((0, 0.1)),  # which does not move
+        rows("a_joint"),  # beside each other
+    ],
+)
+def test_what_cannot_lead_or_is_not_before_follows_as_it_did(tmp_path, parts):
+    path, notes = urdf_of(tmp_path, *parts), list[str]()
+    root = read_urdf(path, notes)
+    assert notes == []
+    assert first_leads(root) == {}

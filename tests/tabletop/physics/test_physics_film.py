@@ -7,6 +7,7 @@ from typing import Any
 import numpy
 import pytest
 import torch
+from support import seeded
 
 from cgtorch.ground.errors import SettingsError
 from cgtorch.tabletop.physics import Physics, film
@@ -20,7 +21,7 @@ from cgtorch.tabletop.physics.film import (
     Camera,
     film_of,
 )
-from cgtorch.tabletop.world import Scenarios, stage_scenarios
+from cgtorch.tabletop.world import Scenarios, random_scenarios, stage_scenarios
 
 
 def scene(start: tuple[float, float], table: tuple[float, float], at: list[float]) -> Scenarios:
@@ -120,3 +121,27 @@ def test_a_film_is_of_all_that_moves_and_its_renderers_are_closed(
     assert [each.closed for each in made] == [True]
     scale, size = model.model.vis.scale, CONTACT / model.model.stat.meansize
     assert (scale.contactwidth, scale.contactheight) == pytest.approx((size, size / 4))
+
+
+def test_a_film_is_of_the_first_scenario_on_which_anything_moves(
+    monkeypatch: pytest.MonkeyPatch, physics: Physics
+) -> None:
+    tried, model = list[float](), physics.model(0, 0)
+
+    def execute(skill: Any, world: Any, ended: Any) -> Any:
+        tried.append(float(world.object[0, 0]))
+        if len(tried) == 3:
+            world.watch(SimpleNamespace(model=model.model, data=SimpleNamespace(time=0.0)))
+        return SimpleNamespace(end=f"end {len(tried)}")
+
+    def world_in(watched: Any, scenario: Scenarios) -> Any:
+        return SimpleNamespace(watch=watched.watch, object=scenario.object)
+
+    monkeypatch.setattr(film, "renderer", Renderer)
+    monkeypatch.setattr(film, "execute", execute)
+    scenarios, skill = random_scenarios("near", 5, seeded(0)), SimpleNamespace(name="S0")
+    found = film_of(skill, physics, world_in, scenarios, 32)  # type: ignore[arg-type]
+    assert (found.end, len(found.frames)) == ("end 3", 1)
+    assert tried == scenarios.object[:3, 0].tolist()
+    with pytest.raises(SettingsError, match="moves nothing on any of 2 scenarios; try others"):
+        film_of(skill, physics, world_in, scenarios[3:], 32)  # type: ignore[arg-type]

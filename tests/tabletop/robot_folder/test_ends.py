@@ -4,7 +4,7 @@ import pytest
 from small_urdfs import LIMIT, box, chain, fingers, joint, link, urdf_of
 
 from cgtorch.tabletop.kinematics import load_urdf
-from cgtorch.tabletop.robot_folder.chains import chains_of
+from cgtorch.tabletop.robot_folder.chains import chains_of, told
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 BASE, PELVIS = link("base", box("0.3 0.3 1", "0 0 0.5")), link("base", box("0.3 0.3 0.2"))
@@ -209,3 +209,14 @@ def test_legs_with_long_feet_and_wide_hips_stand(tmp_path):
     )
     few = "".join(chain(f"arm{i}_", 3, "base", "0.1 0 0", side) for i, side in enumerate(SIDES))
     assert arms(structure_of(tmp_path, PELVIS, few, LEGS, feet)) == {}
+
+
+def test_heads_of_two_joints_are_told_and_casters_are_not(tmp_path):
+    arm = chain("arm", 6, "base", first="0.1 0 0.9") + fingers("hand", "arm5")
+    caster = "".join(
+        link(f"caster{i}") + joint(f"caster{i}", above, kind="continuous", more="")
+        for i, above in enumerate(("base", "caster0"))
+    )
+    head = chain("head", 2, "base", first="-0.1 0 1.2")
+    said = told(chains_of(structure_of(tmp_path, BASE, arm, head, caster)))
+    assert said == "2 joints from 'head0_joint' to 'head1_joint' (too few joints)"

@@ -139,7 +139,7 @@ def test_where_no_height_helps_it_is_told_what_hinders_at_the_one_of_the_shoulde
     inside = dict.fromkeys(home, 0.0) | {n: 1.4 for n in home if n.startswith("lift")}
     found = reached(robot_with(folder, tmp_path / "blocked", SHOULDER, home=inside))
     assert not found.grasps.any()
-    assert "; nor can it at any height from 0.05 to 1.2 m; " in found.why
+    assert "; nor can it at any height that was tried, from 0.05 to 1.2 m; " in found.why
     counts = re.search(
         r"has a posture at (\d+) of 225 approaches at 0.9 m, clear ones at (\d+), and follows "
         r"(\d+) of them, but no clear way leads there from home: give another one by --home$",
@@ -261,6 +261,7 @@ def test_the_nearest_arm_is_told_of_and_what_suits_it(
     lacks = [(0.7, "the left one", 0.3), (far, "the right one", 1.0)]
     monkeypatch.setattr(reach, "_lacking", lambda robot, number: lacks[number])
     monkeypatch.setattr(reach, "_hindered", lambda robot, *about: f"hindered {about}")
+    monkeypatch.setattr(reach, "_beside_footprint", lambda *about: "")
     monkeypatch.setattr(reach, "graspable", lambda robot, position, table: table[:, 5] == 0.6)
     monkeypatch.setattr(reach, "_better_height", lambda robot: None)
     monkeypatch.setattr(reach, "_approached", lambda *about: True)
@@ -268,7 +269,7 @@ def test_the_nearest_arm_is_told_of_and_what_suits_it(
     assert found.grasps.tolist() == [False] * 9
     heights = f"{min(OTHERS):g} to {max(OTHERS):g} m"
     assert found.why == (
-        f"the right one; nor can it at any height from {heights}; hindered (1, 0.9)"
+        f"the right one; nor can it at any height that was tried, from {heights}; hindered (1, 0.9)"
     )
     monkeypatch.setattr(reach, "_better_height", lambda robot: 0.6)
     why = "" if far else f"; hindered (1, {HEIGHT})"
@@ -341,6 +342,7 @@ def test_an_arm_that_is_long_when_retracted_is_told_from_where_it_reaches(
         "before the table it can grasp 3 of 9"
     )
     monkeypatch.setattr(reach, "_hindered", lambda *about: "hindered by its home")
+    monkeypatch.setattr(reach, "_beside_footprint", lambda *about: "")
     monkeypatch.setattr(reach, "progress", lambda *about: (3, 2, 1))
     assert reached(ROBOT).why.endswith("hindered by its home")
     monkeypatch.setattr(reach, "progress", lambda *about: (3, 2, 0))
