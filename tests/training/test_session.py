@@ -74,7 +74,7 @@ def test_limits_are_numbers_of_what_can_be_asked() -> None:
     for name in NAMES:
         assert TrainingRequest(budget={name: 0}).budget == {name: 0}
     for bad in ({"motions": -1}, {"motions": float("nan")}, {"grasps": 3}):
-        with pytest.raises(SettingsError, match="is no limit; give numbers of"):
+        with pytest.raises(SettingsError, match="is no limit; give whole numbers of"):
             TrainingRequest(budget=bad)
     with pytest.raises(SettingsError, match="did you mean 'target'"):
         TrainingRequest(goal={"traget": 1})
