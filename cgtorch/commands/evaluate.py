@@ -136,9 +136,13 @@ def command(path: Path, count: int, seed: int, as_json: bool, quiet: bool, **res
     if score.returns is not None:
         common.say(_returns_as_text(score, domain.target_return))
     if predicted is not None:
+        held = (
+            f", of which {predicted['succeeded']} succeeded in the world, {_confidence(predicted)}"
+            if predicted["tried"]
+            else ""
+        )
         common.say(
-            f"the models predicted robust success on {predicted['tried']} of {score.tried}, "
-            f"of which {predicted['succeeded']} succeeded in the world, {_confidence(predicted)}"
+            f"the models predicted robust success on {predicted['tried']} of {score.tried}{held}"
         )
     if noise is not None:
         common.say(f"W under other noise, when it was accepted: {_as_text(noise)}")

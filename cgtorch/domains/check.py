@@ -41,6 +41,9 @@ from cgtorch.ground.fields import Field, bounds_of
 from cgtorch.ground.rows_alone import TOGETHER, what_others_change
 from cgtorch.ground.whole_episode import SECONDS, STEPS, what_differs_late
 
+OF_MODELS = "explore", "worth_trying", "worth_testing", "transition_features", "success_features"
+"""What users write for models, and what would be left aside in a domain."""
+
 
 def check_domain(domain: Domain[Any], scenarios: str) -> bool:
     """Try a domain on a kind of scenarios, and whether its world repeats itself.
@@ -157,7 +160,14 @@ def _check_names(domain: Domain[Any], who: str) -> None:
         none = name == "models" and kind_of is None
         if not (none or (isinstance(kind_of, type) and issubclass(kind_of, parts))):
             known = " or ".join(f"cgtorch.{part.__name__}" for part in parts)
+            known += ", or None where no models are learned" if name == "models" else ""
             raise DomainError(f"{who}.{name} is {kind_of!r:.60}; give a subclass of {known}")
+    for name in OF_MODELS:
+        if hasattr(domain, name):
+            raise DomainError(
+                f"{who} has {name}, which is asked of its models; define it in a subclass of "
+                "cgtorch.Models, and give that as models"
+            )
     if not domain.kinds:
         raise DomainError(f"{who}.kinds is empty; name at least one kind of scenarios")
     for stage, of in domain.stages.items():

@@ -31,6 +31,8 @@ def writing(path: Path, error: type[CgtorchError] = RunError) -> Iterator[None]:
         advice = "check the folder and disk"
         if isinstance(e, PermissionError):
             advice = "choose a folder that you may write to, or work on a copy that is yours"
+        if isinstance(e, NotADirectoryError | FileExistsError):
+            advice = next((f"{str(p)!r} is a file" for p in path.parents if p.is_file()), advice)
         raise error(f"cannot write {str(path)!r} ({_reason(e)}); {advice}") from e
 
 

@@ -12,6 +12,8 @@ from tempfile import mkdtemp
 
 ELF, HEADER = b"\x7fELF\x02\x01", 64
 """The begin of a library on Linux, or of a GPU's machine code, and the bytes of its header."""
+MACH = b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe"
+"""The begins of a library on macOS."""
 
 
 def cache_folder() -> Path:
@@ -70,7 +72,7 @@ def is_own(path: Path) -> bool:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether compiled code is there, is this user's, and is not cut off.
+    """Whether compiled code is there, is this user's, and is not cut off or something else.
 
     To load a library that was cut would end the process. In ELF the table of sections comes last.
     """
@@ -82,8 +84,10 @@ def is_whole(path: Path) -> bool:
         return False
     if not (own and len(head) == HEADER):
         return False
+    if not head.startswith(ELF):
+        return head.startswith(MACH)
     (table,), (each, count) = (
         struct.unpack_from("<Q", head, 40),
         struct.unpack_from("<HH", head, 58),
     )
-    return not head.startswith(ELF) or table + each * count <= size
+    return bool(table + each * count <= size)

@@ -187,6 +187,7 @@ def option_of(name: str) -> str:
 
 DECISIVE, SCREENING = 40, 10
 """Expected failures of a skill at the target, in the decisive test and in the screening test."""
+COARSE = 0.2  # share of failures from which tests are as long as for this one
 MOST_SHARE = 0.999
 """The largest share of scenarios that can be asked for."""
 
@@ -224,9 +225,17 @@ class Goal:
     @property
     def screening(self) -> int:
         """Maximum number of scenarios of the screening test, before the decisive test: 1000."""
-        return round(SCREENING / (1 - self.target))
+        return round(SCREENING / self.fine)
 
     @property
     def decisive(self) -> int:
         """Number of scenarios of the decisive test: 4000 for 99 %."""
-        return round(DECISIVE / (1 - self.target))
+        return round(DECISIVE / self.fine)
+
+    @property
+    def fine(self) -> float:
+        """The share of failures for which tests are made, at most `COARSE`.
+
+        Where more may fail, a few successes more or less decide nothing otherwise.
+        """
+        return min(1 - self.target, COARSE)

@@ -102,7 +102,7 @@ def advice_about(
         text = "They succeeded when they were met again: the world does not repeat itself."
         said.append(Advice("noise", found.lucky, text))
     mean = score.mean_return if rewarded(domain) else None
-    if found.failed and mean is not None and mean >= domain.target_return:
+    if found.failed and mean is not None and mean - (score.error or 0) >= domain.target_return:
         text = (
             f"Nothing has to be changed: the mean return of {mean:.5g} reaches the target of "
             f"{domain.target_return:g}, which is one for the mean, so single episodes may fall "

@@ -43,7 +43,7 @@ TESTS = 41  # the generator of tests, derived like an island's
 BATCH = 400  # scenarios tried before the next look at how many were missed
 DOUBT = 0.05
 """The probability of error of all two-sided intervals of one run together."""
-SLACK = 1.25  # times the target's failure rate, which the bound of the interval may show
+SLACK = 0.25  # of `Goal.fine`, by which the bound of the interval may be below the target
 EPISODES, DECISIVE_EPISODES = 100, 200
 """The least number of episodes of the screening test and of the decisive test of a mean."""
 MOST_EPISODES, SHARE = 2**14, 10
@@ -278,8 +278,8 @@ def holds(goal: Goal, succeeded: int, tried: int, decision: int) -> bool:
     """Whether a decisive test shows that the goal is reached.
 
     Two conditions must hold. The share solved is at least the target, and the lower end of Wilson's
-    interval allows at most `SLACK` times the failures that the target allows. For 99 %, this end is
-    at least 98.75 %, which takes about 99.1 % of 4000.
+    interval is below it by at most `SLACK` of `Goal.fine`. For 99 %, this end is at least 98.75 %,
+    which takes about 99.1 % of 4000.
 
     Decision number j (from 1) of a run has confidence 1 - 0.05 / (j (j + 1)), so the errors of all
     decisions sum to at most 0.05. A run whose skills are all below the bound therefore ends with
@@ -287,7 +287,8 @@ def holds(goal: Goal, succeeded: int, tried: int, decision: int) -> bool:
     approximate). A goal that holds means: at least 98.75 %, with confidence 97.5 %.
     """
     low, _ = wilson(succeeded, tried, 1 - DOUBT / (decision * (decision + 1)))
-    return tried > 0 and succeeded >= goal.target * tried and 1 - low <= SLACK * (1 - goal.target)
+    enough = goal.target - SLACK * goal.fine
+    return tried > 0 and succeeded >= goal.target * tried and low >= enough
 
 
 def worth_deciding(goal: Goal, succeeded: int, tried: int) -> bool:

@@ -74,13 +74,20 @@ def test_kinds_are_names_in_a_tuple(bad: object) -> None:
 @pytest.mark.parametrize("name", ["models", "pictures", "files"])
 def test_parts_are_classes_of_their_kind(name: str) -> None:
     said = f"give a subclass of cgtorch.{name.title()}"
-    said += " or cgtorch.RewardedModels" if name == "models" else ""
+    more = " or cgtorch.RewardedModels, or None where no models are learned"
+    said += more if name == "models" else ""
     assert refused(cart_with(**{name: "none"})) == f"Own.{name} is 'none'; {said}"
     assert said in refused(cart_with(**{name: int}))
     if name == "models":  # a domain may have none, as its skills are evolved in the world itself
         check_domain(cart_with(models=None), "any")
     else:
         assert said in refused(cart_with(**{name: None}))
+
+
+@pytest.mark.parametrize("name", ["explore", "worth_trying", "success_features"])
+def test_what_models_are_asked_is_not_left_aside_in_a_domain(name: str) -> None:
+    said = f"Own has {name}, which is asked of its models; define it in a subclass of cgtorch.Model"
+    assert refused(cart_with(**{name: lambda self, about: about})).startswith(said)
 
 
 def test_there_is_a_kind_and_stages_are_about_such() -> None:

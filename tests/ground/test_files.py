@@ -25,6 +25,7 @@ from cgtorch.ground.files import (
     whole_folder,
     write_bytes,
     write_json,
+    writing,
 )
 
 VALUE = st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.text() | st.floats(-9, 9)
@@ -88,6 +89,14 @@ def test_unwritable_paths(tmp_path: Path) -> None:
         with pytest.raises(RunError):
             JsonLines(path).append({"a": 1})
     assert list(tmp_path.rglob("*")) == [tmp_path / "folder"]
+
+
+def test_a_file_in_the_place_of_a_folder_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(RunError, match=r"cannot write .*/file/run/a' .*; '/.*/file' is a file$"):
+        write_json(tmp_path / "file" / "run" / "a", {})
+    with pytest.raises(RunError, match="/file' is a file"), writing(tmp_path / "file" / "run"):
+        (tmp_path / "file" / "run").mkdir(parents=True)
 
 
 def test_only_a_file_is_replaced_by_a_whole_new_one(tmp_path: Path) -> None:

@@ -112,9 +112,9 @@ def test_what_succeeds_when_it_is_met_again_is_said_to_be_luck() -> None:
     assert last.text.startswith("They succeeded when they were met again")
 
 
-@pytest.mark.parametrize(("mean", "reached"), [(-1.0, True), (-0.5, True), (-1.001, False)])
+@pytest.mark.parametrize(("mean", "reached"), [(0.001, True), (0.5, True), (-0.001, False)])
 def test_a_mean_that_reaches_the_target_needs_no_other_advice(mean: float, reached: bool) -> None:
-    """Unless nothing fails."""
+    """Less its standard error, which is 1 here, and unless nothing fails."""
     score = replace(SOME, returns=torch.tensor([mean - 1, mean + 1]))
     found = replace(failing("world"), tried=(Tried("any", 2, 1),))
     said = advice_about(found, Walking(), score, None)

@@ -186,11 +186,12 @@ def test_where_a_mean_counts_that_is_reached_nothing_is_to_blame() -> None:
     domain = make_domain("gymnasium:CartPole-v1")
     seen = torch.zeros(4, len(domain.percept))
     scenarios = domain.draw("starts", 4, seeded(0))
-    returns = torch.tensor([2000.0, 0.0, 0.0, 0.0])
-    score = Score(scenarios, seen, returns > 1, returns)
+    returns = torch.tensor([520.0, 500.0, 510.0, 470.0])
+    score = Score(scenarios, seen, returns >= domain.target_return, returns)
     skill = random_skill(0, "any", domain.actions())
     found = failures_of(skill, domain, score)
     assert score.mean_return == 500
+    assert score.error == pytest.approx(10.8, abs=0.1)
     assert found.blame == "Neither: the target is reached."
     assert [advice.cause for advice in found.advice] == ["goal"]
     low = failures_of(skill, domain, replace(score, returns=returns / 4))
