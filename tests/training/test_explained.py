@@ -71,6 +71,7 @@ def test_the_last_that_training_missed_are_tried_too(
     run = read_run(copied(trained, tmp_path / "run"))
     solved = run.like()
     missed = run.domain.draw("far", count, seeded(0))
+    (run.folder / "S1" / "seen.safetensors").unlink()  # which was about others
     save_scenarios(run.folder / "S1" / "scenarios.json", solved, missed)
     why = explained(run)
     assert why is not None
