@@ -23,6 +23,7 @@ from cgtorch.tabletop.robot_folder.chains import (
 from cgtorch.tabletop.robot_folder.fingers import depth_of, extent
 from cgtorch.tabletop.robot_folder.make import make_robot_folder
 from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
+from cgtorch.tabletop.robot_folder.solid import solid
 from cgtorch.tabletop.robot_folder.structure import Structure
 
 
@@ -326,9 +327,9 @@ def test_an_arm_without_shapes_is_told_and_visual_shapes_are_taken(tmp_path):
     seen = box("0.05 0.05 0.1", kind="visual")
     parts = link("base", box("0.2 0.2 0.5", "0 0 0.25", "visual"))
     parts += chain("arm", 6, "base", "0 0 0.15", "0 0 0.5", seen)
-    made = make_robot_folder(written(tmp_path, parts), tmp_path / "seen")
-    assert any("its visual shapes are taken" in note for note in made.notes)
-    assert made.robot.description.footprint == (-0.1, 0.1, -0.1, 0.1)
+    plain, notes = solid(structure_of(tmp_path, parts).urdf)
+    assert any("its visual shapes are taken" in note for note in notes)
+    assert propose(plain, Wishes()).words.footprint == (-0.1, 0.1, -0.1, 0.1)
     first = BASE + chain("arm", 3, "base", first="0 0 1") + chain("far", 3, "arm2", shapes="")
     assert propose(structure_of(tmp_path, first).urdf, Wishes()).words.arms
 

@@ -8,8 +8,9 @@ from small_urdfs import box, chain, fingers, joint, link, urdf_of
 
 from cgtorch.ground.errors import RobotError
 from cgtorch.tabletop.kinematics import load_urdf
-from cgtorch.tabletop.kinematics.urdf import Urdf
+from cgtorch.tabletop.kinematics.urdf import MOVING, Urdf
 from cgtorch.tabletop.robot_folder.make import make_robot_folder
+from cgtorch.tabletop.robot_folder.proposal import Wishes, propose
 from cgtorch.tabletop.robot_folder.still import without_still
 
 BASE = link("base", box("0.3 0.3 0.6", "0 0 0.3"))
@@ -78,6 +79,11 @@ def test_a_joint_that_cannot_move_is_none_of_an_arm_and_is_told(tmp_path: Path) 
     more = chain("arm", 5, "base", first="0 0 0.6")
     mount = mount.replace("arm2", "arm4")
     urdf = urdf_of(tmp_path, BASE, more, mount, fingers("jaw", "mount"))
-    made = make_robot_folder(urdf, tmp_path / "mine")
-    assert list(made.robot.arms[0].joint_names) == [f"arm{i}_joint" for i in range(5)]
-    assert "mount_joint is taken to be fixed, as the two limits are nearly the same" in made.notes
+    found, changes = without_still(load_urdf(urdf))
+    proposal = propose(found, Wishes(), changes=changes)
+    (own,) = proposal.words.arms
+    between = proposal.urdf.joints_between(own.base_link, own.tool_frame)
+    moving = [each.name for each in between if each.type in MOVING]
+    assert moving == [f"arm{i}_joint" for i in range(5)]
+    said = "mount_joint is taken to be fixed, as the two limits are nearly the same"
+    assert said in proposal.notes
