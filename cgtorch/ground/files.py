@@ -32,7 +32,8 @@ def writing(path: Path, error: type[CgtorchError] = RunError) -> Iterator[None]:
         if isinstance(e, PermissionError):
             advice = "choose a folder that you may write to, or work on a copy that is yours"
         if isinstance(e, NotADirectoryError | FileExistsError):
-            advice = next((f"{str(p)!r} is a file" for p in path.parents if p.is_file()), advice)
+            files = (each for each in path.parents if each.is_file())
+            advice = next((f"{str(file)!r} is a file; choose another" for file in files), advice)
         raise error(f"cannot write {str(path)!r} ({_reason(e)}); {advice}") from e
 
 

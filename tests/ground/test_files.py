@@ -93,7 +93,9 @@ def test_unwritable_paths(tmp_path: Path) -> None:
 
 def test_a_file_in_the_place_of_a_folder_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(RunError, match=r"cannot write .*/file/run/a' .*; '/.*/file' is a file$"):
+    with pytest.raises(
+        RunError, match=r"cannot write .*/file/run/a' .*; '/.*/file' is a file; choose another$"
+    ):
         write_json(tmp_path / "file" / "run" / "a", {})
     with pytest.raises(RunError, match="/file' is a file"), writing(tmp_path / "file" / "run"):
         (tmp_path / "file" / "run").mkdir(parents=True)

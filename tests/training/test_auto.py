@@ -191,8 +191,8 @@ def test_rounds_go_on_after_stages_and_end_at_the_goal(trained: Trained, tmp_pat
     assert [r["stage"] for r in results[:2]] == ["S0", "S1"]
     assert reached(goal, results[2:])
     last = results[-1]
-    assert last["decisive"]["tried"] == goal.decisive == 80
-    assert last["decisive"]["succeeded"] >= 40
+    assert last["decisive"]["tried"] == goal.decisive == 200
+    assert last["decisive"]["succeeded"] >= 100
     assert last["overall"] == last["decisive"]
     assert [e.decisive for e in events if isinstance(e, FreshTested)][-2:] == [False, True]
     assert train_until(Training(run, events.append, quietly), goal) == results
